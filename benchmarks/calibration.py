@@ -69,7 +69,7 @@ def _truth(seed: int) -> tuple[Bundle, np.random.Generator]:
 def _run(truth: Bundle, found: Sightings) -> Run:
     """A calibration of sightings against the truth, in all its unknowns."""
     made = calibrate(found, [BOARD])
-    kept = [int(name) for name in made.found.views]
+    kept = [int(name) for name in made.sightings.views]
     true = Bundle(truth.intrinsics, truth.camera, truth.view[kept])
     error = bundle_errors(made.adjusted.bundle, true)
     covariance = made.adjusted.covariance

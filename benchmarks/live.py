@@ -26,8 +26,8 @@ from palpate.bench import (
     read_bench,
     wanted_precision,
 )
+from palpate.checkpoints import Memory
 from palpate.lab import built_in, choose_variant, make_session, read_lab_config
-from palpate.parts import Memory
 from palpate.pipeline import (
     Material,
     NextProbings,

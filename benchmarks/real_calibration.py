@@ -32,7 +32,7 @@ def _chessboards(camera: Path) -> tuple[Calibration, Figure]:
     found = find_boards(find_pictures(camera), [_BOARD])
     result = calibrate(found, [_BOARD])
     corners = result.corners
-    views = range(len(result.found.views))
+    views = range(len(result.sightings.views))
     points = [corners.point[corners.view == v].astype(np.float32) for v in views]
     pixels = [corners.pixel[corners.view == v].astype(np.float32) for v in views]
     rms, *_ = cv2.calibrateCamera(points, pixels, found.sizes[0], None, None)

@@ -59,10 +59,10 @@ def __getattr__(name: str) -> Any:
     room = _ROOM_OF.get(name)
     if room is None:
         raise AttributeError(f"module 'palpate' has no attribute {name!r}")
-    found = getattr(import_module(room), name)
+    value = getattr(import_module(room), name)
     # From now on found without this function.
-    globals()[name] = found
-    return found
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -1,14 +1,14 @@
 """Atomic writing: files and folders appear completely or not at all, even if the process is killed.
 
 While NAME is being written, these lie next to it: `.NAME.lock`, which process writes it, and which
-ends with that process; `.NAME.partial`, the new content; `.NAME.older` and `.NAME.journal`, needed
-to roll back a change of several files. If a process is killed, the next one that writes there
-cleans up what it left.
+ends with that process; `.NAME.partial`, the new content; `.NAME.older`, the old content of a folder
+where the system cannot exchange two names. If a process is killed, the next one that writes there
+cleans up what it left. Several files change together where one of them names the others: these get
+names that are free (`new_files`), and it is replaced last.
 """
 
 import ctypes
 import errno
-import json
 import os
 import re
 import shutil
@@ -16,13 +16,12 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 
 from palpate.errors import InUseError, RecordError, print_message
-from palpate.files import checked_file
 
 try:
     import fcntl
@@ -32,8 +31,6 @@ except ImportError:  # not on Windows: two commands at once are then not noticed
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU")
 # linux/fs.h: exchange two names in one step.
 _RENAME_EXCHANGE, _AT_FDCWD = 2, -100
-# Largest size of a journal [bytes].
-_MAX_JOURNAL_BYTES = 2**20
 # First word of a lock file's text, and the flag that refuses symbolic links to other files.
 _HOLDER_PREFIX, _NO_FOLLOW = "process ", getattr(os, "O_NOFOLLOW", 0)
 
@@ -51,63 +48,133 @@ def write_bytes(path: Path, content: bytes) -> None:
     RecordError                     the file cannot be written
     InUseError                      another process is writing it
     """
-    with atomic_replacement([path]) as (staged,), write_errors(path):
+    with atomic_replacement(path) as staged, write_errors(path):
         staged.write_bytes(content)
+
+
+def free_name(path: Path, content: bytes) -> Path:
+    """The first of NAME, NAME_2, NAME_3 and so on where nothing is, or a file with this content.
+
+    Parameters
+    ----------
+    path : Path                     the name that is wanted
+    content : bytes                 what is to be written there
+
+    Returns
+    -------
+    Path
+    """
+    final, number = path, 1
+    while os.path.lexists(final) and not _holds(final, content):
+        number += 1
+        final = path.with_stem(f"{path.stem}_{number}")
+    return final
+
+
+def _holds(path: Path, content: bytes) -> bool:
+    """Whether a path is a regular file with this content; False where that cannot be seen."""
+    with suppress(OSError):
+        same_size = path.is_file() and path.stat().st_size == len(content)
+        return same_size and path.read_bytes() == content
+    return False
+
+
+@contextmanager
+def new_files(named_by: Path) -> Iterator[Callable[[Path, bytes], Path]]:
+    """A function that writes files which replace none; they are removed again if the block fails
+    before the file that names them has been replaced.
+
+    Around `atomic_replacement` of that file: all change together, since nothing names the new files
+    before it is in place.
+
+    Parameters
+    ----------
+    named_by : Path                 the file that is going to name them
+
+    Yields
+    ------
+    callable                        takes a path and a content; gives the `free_name` where it is
+
+    Raises
+    ------
+    RecordError                     by the function: a file cannot be written
+    InUseError                      by the function: another process is writing it
+    """
+    created: list[Path] = []
+    before = _inode(named_by)
+
+    def write(path: Path, content: bytes) -> Path:
+        final = free_name(path, content)
+        if not final.exists():
+            created.append(final)
+        # One that is there has this content, perhaps of a killed run that left its lock.
+        write_bytes(final, content)
+        return final
+
+    try:
+        yield write
+    except BaseException:
+        # A signal may come after the replacement.
+        for path in created if _inode(named_by) == before else ():
+            with suppress(OSError):
+                path.unlink()
+        raise
+
+
+def _inode(path: Path) -> int | None:
+    """Which file has this name; None: there is none. It changes with each replacement."""
+    with suppress(OSError):
+        return os.stat(path).st_ino
+    return None
 
 
 @contextmanager
 def atomic_replacement(
-    targets: Sequence[Path],
+    target: Path,
     *,
     folder: bool = False,
     keep_old: Callable[[Path], object] = lambda _: False,
-) -> Iterator[tuple[Path, ...]]:
-    """Temporary files, or one folder, to write to; renamed to the targets when the block succeeds.
+) -> Iterator[Path]:
+    """A temporary file or folder to write to; renamed to the target when the block succeeds.
 
-    All targets are replaced, or none: after a kill at any step, the next process that writes there
-    or calls `roll_back_interrupted` restores a consistent state. Symbolic links are followed;
-    permissions of existing files are kept.
+    The target is replaced whole or not at all: after a kill at any step, the next process that
+    writes there or calls `put_back_interrupted` finds or restores a whole one. Symbolic links are
+    followed; permissions of an existing file are kept.
 
     Parameters
     ----------
-    targets : sequence of Path      final names, all in one existing folder; the lock is taken on
-                                    the last one
-    folder : bool                   the single target is a folder
-    keep_old : callable             called with each existing target before it is replaced; True:
-                                    keep the old one as NAME.old
+    target : Path                   final name, in an existing folder
+    folder : bool                   the target is a folder
+    keep_old : callable             called with an existing target before it is replaced; True: keep
+                                    the old one as NAME.old
 
     Yields
     ------
-    tuple of Path                   empty temporary files or folder, next to the targets
+    Path                            empty temporary file or folder, next to the target
 
     Raises
     ------
-    RecordError                     a target cannot be written; raised before the block runs if the
-                                    file system does not allow it
+    RecordError                     the target cannot be written; raised before the block runs if
+                                    the file system does not allow it
     InUseError                      another process is writing there; raised before the block runs
     """
-    finals = [Path(os.path.realpath(target)) for target in targets]
-    _check_targets(finals, folder)
-    staged = tuple(_hidden_path(final, "partial") for final in finals)
-    with _hold_lock(finals[-1]):
+    final = Path(os.path.realpath(target))
+    if final.exists() and not (final.is_dir() if folder else final.is_file()):
+        wrong = "a folder" if final.is_dir() else "no regular file"
+        raise RecordError(f"{final}: is {'no folder' if folder else wrong}; choose another place")
+    staged = _hidden_path(final, "partial")
+    with _hold_lock(final):
         try:
-            with write_errors(finals[-1]):
-                _clean_up(finals)
-                if len(finals) > 1:
-                    _write_journal(finals, undo=False)
-            for path, final in zip(staged, finals, strict=True):
-                with write_errors(final):
-                    path.mkdir() if folder else path.touch()
+            with write_errors(final):
+                _clean_up(final)
+                staged.mkdir() if folder else staged.touch()
             yield staged
-            with _deferred_signals(), write_errors(finals[-1]):
-                for path in staged:
-                    _sync_all(path)
-                _put_in_place(staged, finals, keep_old)
+            with _deferred_signals(), write_errors(final):
+                _sync_all(staged)
+                _put_in_place(staged, final, keep_old)
         finally:
             with _deferred_signals(), suppress(OSError):
-                _roll_back(_hidden_path(finals[-1], "journal"))
-                for path in (*staged, _hidden_path(finals[-1], "draft")):
-                    _remove(path)
+                _remove(staged)
 
 
 @contextmanager
@@ -156,13 +223,12 @@ def write_errors(final: Path) -> Iterator[None]:
         ) from error
 
 
-def roll_back_interrupted(target: Path) -> None:
-    """Undo an interrupted change of several files or of a folder, if there is one, and say so.
+def put_back_interrupted(target: Path) -> None:
+    """Put back a folder whose replacement was interrupted, if there is one, and say so.
 
     Parameters
     ----------
-    target : Path                   the folder, or the last of these files, as given to
-                                    `atomic_replacement`
+    target : Path                   the folder
 
     Raises
     ------
@@ -171,29 +237,13 @@ def roll_back_interrupted(target: Path) -> None:
     """
     final = Path(os.path.realpath(target))
     interrupted = False
-    # An unreadable location is reported by whoever reads the file itself.
+    # An unreadable location is reported by whoever reads the folder itself.
     with suppress(OSError):
-        interrupted, _ = _read_journal(_hidden_path(final, "journal"))
         # Where two names cannot be exchanged, a folder is gone for a moment.
-        interrupted |= _hidden_path(final, "older").is_dir() and not final.exists()
+        interrupted = _hidden_path(final, "older").is_dir() and not final.exists()
     if interrupted:
         with _hold_lock(final), write_errors(final):
-            _clean_up([final])
-
-
-def _check_targets(finals: Sequence[Path], folder: bool) -> None:
-    """Refuse targets that cannot be replaced, or not together."""
-    for final in finals:
-        if final.exists() and not (final.is_dir() if folder else final.is_file()):
-            wrong = "a folder" if final.is_dir() else "no regular file"
-            raise RecordError(
-                f"{final}: is {'no folder' if folder else wrong}; choose another place"
-            )
-        if final.parent != finals[-1].parent:
-            raise RecordError(
-                f"{final}: a link leads out of the folder of {finals[-1]}, and both are to change"
-                " together; put the file itself there"
-            )
+            _clean_up(final)
 
 
 @contextmanager
@@ -210,57 +260,45 @@ def _hold_lock(final: Path) -> Iterator[None]:
                 _release_lock(path, handle)
 
 
-def _clean_up(finals: Sequence[Path]) -> None:
-    """Roll back, remove or restore what interrupted processes left, and report each on stderr."""
-    journal = _hidden_path(finals[-1], "journal")
-    if journal.exists():
-        interrupted, _ = _read_journal(journal)
-        outcome = "was undone" if interrupted else "was tidied up"
-        _roll_back(journal)
-        print_message(f"note: {finals[-1]}: what an interrupted run had begun {outcome}")
-    for final in finals:
-        # Earlier versions put the process id into these names.
-        pattern = re.compile(rf"\.{re.escape(final.name)}\.(\d+\.)?(partial|draft|older)")
-        for name in sorted(name for name in os.listdir(final.parent) if pattern.fullmatch(name)):
-            leftover = final.with_name(name)
-            if not name.endswith(".older"):
-                _remove(leftover)
-                print_message(f"note: {leftover}: left by an interrupted run, removed")
-            elif final.exists():
-                kept = _keep_under_old_name(leftover, final)
-                print_message(f"note: {leftover}: left by an interrupted run, kept as {kept}")
-            else:
-                os.rename(leftover, final)
-                print_message(f"note: {final}: put back; an interrupted run had left it as {name}")
+def _clean_up(final: Path) -> None:
+    """Remove or restore what interrupted processes left, and report each on stderr."""
+    # Earlier versions put the process id into these names.
+    pattern = re.compile(rf"\.{re.escape(final.name)}\.(\d+\.)?(partial|older)")
+    for name in sorted(name for name in os.listdir(final.parent) if pattern.fullmatch(name)):
+        leftover = final.with_name(name)
+        if name.endswith(".partial"):
+            _remove(leftover)
+            print_message(f"note: {leftover}: left by an interrupted run, removed")
+        elif final.exists():
+            kept = _keep_under_old_name(leftover, final)
+            print_message(f"note: {leftover}: left by an interrupted run, kept as {kept}")
+        else:
+            os.rename(leftover, final)
+            print_message(f"note: {final}: put back; an interrupted run had left it as {name}")
 
 
-def _put_in_place(
-    staged: Sequence[Path], finals: Sequence[Path], keep_old: Callable[[Path], object]
-) -> None:
-    """Rename the temporary files, or the folder, to their final names."""
-    for path, final in zip(staged, finals, strict=True):
-        if final.is_file():
-            shutil.copymode(final, path)
-        if final.exists() and keep_old(final):
-            kept = _keep_under_old_name(final, final)
-            print_message(f"note: {final}: what was there is kept as {kept}")
-    if len(finals) > 1:
-        _replace_together(staged, finals)
-    elif not finals[0].is_dir():
-        os.replace(staged[0], finals[0])
-    elif not _exchange(staged[0], finals[0]):
-        older = _hidden_path(finals[0], "older")
-        os.rename(finals[0], older)
+def _put_in_place(staged: Path, final: Path, keep_old: Callable[[Path], object]) -> None:
+    """Rename the temporary file or folder to its final name."""
+    if final.is_file():
+        shutil.copymode(final, staged)
+    if final.exists() and keep_old(final):
+        kept = _keep_under_old_name(final, final)
+        print_message(f"note: {final}: what was there is kept as {kept}")
+    if not final.is_dir():
+        os.replace(staged, final)
+    elif not _exchange(staged, final):
+        older = _hidden_path(final, "older")
+        os.rename(final, older)
         try:
-            os.rename(staged[0], finals[0])
+            os.rename(staged, final)
         except OSError:
-            os.rename(older, finals[0])
+            os.rename(older, final)
             raise
         with suppress(OSError):
             _remove(older)
     # The new content is in place: a failed flush is no reason to fail.
     with suppress(OSError):
-        _sync(finals[-1].parent)
+        _sync(final.parent)
 
 
 def _keep_under_old_name(path: Path, final: Path) -> Path:
@@ -277,62 +315,6 @@ def _keep_under_old_name(path: Path, final: Path) -> Path:
     else:
         _link_or_copy(path, kept)
     return kept
-
-
-def _replace_together(staged: Sequence[Path], finals: Sequence[Path]) -> None:
-    """Replace several files; until the final journal entry, an interruption is rolled back."""
-    for final in finals:
-        if final.exists():
-            _link_or_copy(final, _hidden_path(final, "older"))
-    _write_journal(finals, undo=True)
-    for path, final in zip(staged, finals, strict=True):
-        os.replace(path, final)
-    _sync(finals[-1].parent)
-    _write_journal(finals, undo=False)
-
-
-def _write_journal(finals: Sequence[Path], *, undo: bool) -> None:
-    """Record which files are being replaced, which existed, and whether to roll back."""
-    journal, draft = _hidden_path(finals[-1], "journal"), _hidden_path(finals[-1], "draft")
-    existed = {final.name: _hidden_path(final, "older").exists() for final in finals}
-    draft.write_text(json.dumps({"undo": undo, "there": existed}), encoding="utf-8")
-    _sync(draft)
-    os.replace(draft, journal)
-    if undo:
-        _sync(journal.parent)
-
-
-def _read_journal(path: Path) -> tuple[bool, dict[str, bool]]:
-    """Whether to roll back a change of several files, and which of them existed before."""
-    if not path.exists():
-        return False, {}
-    try:
-        text = checked_file(path, max_bytes=_MAX_JOURNAL_BYTES).read_text(encoding="utf-8")
-        content = json.loads(text)
-        undo, existed = content["undo"], dict[str, bool](content["there"])
-        if len(content) == 2 and all(Path(name).name == name for name in existed):
-            return bool(undo), existed
-    except (LookupError, ValueError, TypeError, RecursionError):
-        pass
-    # A journal may arrive with someone else's session; it must not act outside its own folder.
-    raise RecordError(f"{path}: is not what Palpate leaves of an interrupted run; remove it")
-
-
-def _roll_back(path: Path) -> None:
-    """Roll back as a journal says and remove its files; safe to repeat after an interruption."""
-    undo, existed = _read_journal(path)
-    for name, did_exist in existed.items():
-        final = path.with_name(name)
-        older = _hidden_path(final, "older")
-        if undo and older.exists():
-            os.replace(older, final)
-        elif undo and not did_exist:
-            final.unlink(missing_ok=True)
-        _remove(older)
-        _remove(_hidden_path(final, "partial"))
-    if existed:
-        _sync(path.parent)
-    _remove(path)
 
 
 def _exchange(first: Path, second: Path) -> bool:

@@ -57,11 +57,11 @@ def checked_file(
     InputError of that kind         missing, not a regular file, too large, in Git LFS
     """
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except (OSError, ValueError) as error:
         raise kind(f"{path}: cannot be read ({reason(error)})") from error
-    _check_kind(path, found, max_bytes, kind)
-    if found.st_size < _MOST_POINTER_BYTES and _is_pointer(path):
+    _check_kind(path, status, max_bytes, kind)
+    if status.st_size < _MOST_POINTER_BYTES and _is_pointer(path):
         raise kind(f"{path}: is a Git LFS pointer in place of the file; get that by: git lfs pull")
     return path
 
@@ -75,14 +75,14 @@ def _is_pointer(path: Path) -> bool:
         return False
 
 
-def _check_kind(path: Path, found: os.stat_result, max_bytes: int, kind: type[InputError]) -> None:
+def _check_kind(path: Path, status: os.stat_result, max_bytes: int, kind: type[InputError]) -> None:
     """Refuse what is no regular file of bounded size."""
-    if not stat.S_ISREG(found.st_mode):
-        what = _IRREGULAR_KINDS.get(stat.S_IFMT(found.st_mode), "no regular file")
+    if not stat.S_ISREG(status.st_mode):
+        what = _IRREGULAR_KINDS.get(stat.S_IFMT(status.st_mode), "no regular file")
         raise kind(f"{path}: cannot be read ({what}); give a file")
-    if found.st_size > max_bytes:
+    if status.st_size > max_bytes:
         raise kind(
-            f"{path}: has {found.st_size} bytes, more than the {max_bytes} that are read of such a"
+            f"{path}: has {status.st_size} bytes, more than the {max_bytes} that are read of such a"
             " file; is it the right one?"
         )
 
@@ -147,10 +147,10 @@ def open_own_file(path: Path) -> Iterator[IO[bytes]]:
     except (OSError, ValueError) as error:
         raise RecordError(f"{path}: cannot be read ({reason(error)})") from error
     with os.fdopen(handle, "rb") as file:
-        found = os.fstat(handle)
-        _check_kind(path, found, _MAX_BYTES, RecordError)
+        status = os.fstat(handle)
+        _check_kind(path, status, _MAX_BYTES, RecordError)
         # Windows has no such numbers.
-        if hasattr(os, "geteuid") and found.st_uid != os.geteuid():
+        if hasattr(os, "geteuid") and status.st_uid != os.geteuid():
             raise RecordError(f"{path}: belongs to another user; give a file of your own")
         yield file
 

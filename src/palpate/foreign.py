@@ -213,8 +213,8 @@ def scans_of_e57(path: Path) -> tuple[int, np.ndarray]:
     file = late_import("pye57", extra="e57", purpose=f"reading {path.name}").E57(str(path))
     if file.scan_count != 1:
         return file.scan_count, np.zeros((0, 3))
-    found = file.read_scan(0, ignore_missing_fields=True)
-    return 1, np.stack([found[f"cartesian{axis}"] for axis in "XYZ"], axis=1)
+    scan = file.read_scan(0, ignore_missing_fields=True)
+    return 1, np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], axis=1)
 
 
 def remeshed_by_mmg(

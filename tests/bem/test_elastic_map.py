@@ -122,4 +122,5 @@ def test_the_next_map_of_the_same_object_and_material_factorises_nothing(tmp_pat
     again = boundary_system(surface, cache=tmp_path)
     # Another modulus scales the same factors.
     other = make_elastic_map(again, shear_modulus=4e4, poisson_ratio=0.3)
-    assert np.array_equal(other.factorised.lu, first.factorised.lu)
+    right = np.ones((system.size, 1))
+    np.testing.assert_array_equal(other.solve(right), first.solve(right))

@@ -22,9 +22,9 @@ from palpate.bem import (
     support_columns,
 )
 from palpate.bem.loads.right_hand import joined
+from palpate.checkpoints import Checkpoints
 from palpate.errors import NotConvergedError, SingularSystemError
 from palpate.geometry import TriangleMesh
-from palpate.parts import Parts
 
 RATIOS = (-0.2, 0.0, 0.15, 0.3, 0.45, 0.4999)
 
@@ -186,7 +186,7 @@ def test_an_object_that_is_not_held_is_refused():
 
 def test_a_reduced_model_is_kept_for_its_loads(problem, tmp_path, monkeypatch):
     system, right = problem
-    kept = replace(system, parts=Parts(tmp_path, "the body"))
+    kept = replace(system, checkpoints=Checkpoints(tmp_path, "the body"))
     factors = CentredSystem(kept, CENTRE)
     first = make_reduced_model(factors, right)
     # What the system alone determines serves other loads; factors of one model alone are not kept.

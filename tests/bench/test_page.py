@@ -252,7 +252,7 @@ def test_motion_near_the_tool_is_followed_while_it_is_pressed(page, seen):
     for when, pictures in ((0.2, rest), (0.3, pressed)):
         page.see(pictures, [when], [0.0], "press")
         until(lambda: page._motion._work.done(), patience=60.0)
-    (first, still), (second, moved) = page._motion.found[-2:]
+    (first, still), (second, moved) = page._motion.trace[-2:]
     assert (first, second) == (0.2, 0.3)
     assert abs(still) < 1e-5
     # The twenty nearest of points every 9 pixels, 2 mm apart: within 6 mm, where it is 1.7 to 2 mm.

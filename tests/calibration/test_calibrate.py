@@ -125,7 +125,7 @@ def test_several_boards_in_one_picture_are_views_of_their_own(tmp_path: Path) ->
         # White wherever no board is.
         cv2.imwrite(str(tmp_path / "c0" / f"{v}.png"), np.minimum(*pictures))
     result = calibrate(find_boards(find_pictures(tmp_path), boards), boards)
-    assert set(result.found.views) == {f"{v} board {k}" for v in range(5) for k in range(2)}
+    assert set(result.sightings.views) == {f"{v} board {k}" for v in range(5) for k in range(2)}
     assert len(result.corners.pixel) > 0.9 * 5 * 2 * 16
     sigma = np.sqrt(np.diag(result.covariance))[0]
     assert abs(result.cameras[0].matrix[0, 0] - truth.intrinsics[0, 0]) < 4.0 * sigma < 20.0
@@ -262,7 +262,7 @@ def test_a_board_that_moved_between_the_cameras_is_named() -> None:
     assert len(result.notes) == 1
     assert "'05'" in result.notes[0]
     assert "move" in result.notes[0]
-    assert len(result.found.views) == 13
+    assert len(result.sightings.views) == 13
     np.testing.assert_allclose(result.adjusted.noise, 0.1, rtol=0.15)
 
 
@@ -274,7 +274,7 @@ def test_a_mark_found_beside_its_place_costs_no_view() -> None:
     pixel[wrong] += [8.0, -6.0]
     result = calibrate(replace(found, corners=replace(found.corners, pixel=pixel)), [board])
     assert result.notes == ()
-    assert len(result.found.views) == 14
+    assert len(result.sightings.views) == 14
     assert not result.adjusted.good[wrong]
 
 

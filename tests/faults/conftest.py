@@ -27,13 +27,10 @@ from palpate.pipeline import write_fitted_surface
 from palpate.records import (
     read_session,
     record_inputs,
-    result_file,
     result_folder,
-    sealed,
     session_files,
     write_estimate,
     write_rig,
-    write_text,
 )
 
 
@@ -104,9 +101,6 @@ def results(cube: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     strain = np.linspace(0.0, 0.1, 40)
     rows = np.stack([30.0 * strain, 1e5 * strain * np.pi * 0.025**2], axis=1)
     np.savetxt(folder / "record.csv", rows, delimiter=",", header="displacement,force", comments="")
-    with result_file(folder / "young.json") as file:
-        content = {"format": "palpate-compression/1", "young_modulus": {"value": 1.0}}
-        write_text(file, sealed(content, [folder / "record.csv"], folder=folder))
     return folder
 
 

@@ -115,9 +115,9 @@ _TARGETS = {
 _TAGS = ("calibrate", "boards", "--target", "aprilgrid", "--gap", "3mm", "--square", "16mm",
          "--rows", "5", "--columns")  # fmt: skip
 KINDS = [
-    Kind("a folder named like a file", lambda folder: None,
-         ("mesh", "mesh.ply", "--out", "part.ply"),
-         ("part.ply: names a file", "a result is a folder: --out"), example="bench"),
+    Kind("a mesh over another", lambda folder: None,
+         ("mesh", "mesh.ply", "--out", "mesh.ply"),
+         ("mesh.ply: is there already", "give --force to replace it"), example="bench"),
     Kind("a result named like a report", lambda folder: None,
          ("fit", "cube", "--out", "cube.html"), ("a result is a folder", "a result is a folder: --out"), example="bench"),
     *(

@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -20,13 +21,15 @@ def _file(folder: Path, text: str) -> None:
 
 
 def _files(folder: Path, text: str) -> None:
-    with disk.atomic_replacement([folder / name for name in ("n01", "n02", "session")]) as staged:
-        for path in staged:
-            path.write_text(text)
+    """Two files, and one that names them."""
+    session = folder / "session"
+    with disk.new_files(session) as write, disk.atomic_replacement(session) as staged:
+        named = [write(folder / name, f"{name} {text}".encode()).name for name in ("n01", "n02")]
+        staged.write_text(" ".join(named))
 
 
 def _folder(folder: Path, text: str) -> None:
-    with disk.atomic_replacement([folder / "result"], folder=True) as (staged,):
+    with disk.atomic_replacement(folder / "result", folder=True) as staged:
         (staged / "below").mkdir()
         for name in ("one", "below/two"):
             (staged / name).write_text(text)
@@ -44,8 +47,8 @@ def _folder_in_two_steps(folder: Path, text: str) -> None:
 def _kept(folder: Path, text: str) -> None:
     """As with --force: a file that is no result stays under another name."""
     with disk.atomic_replacement(
-        [folder / "a"], keep_old=lambda path: path.read_text() == "old"
-    ) as (staged,):
+        folder / "a", keep_old=lambda path: path.read_text() == "old"
+    ) as staged:
         staged.write_text(text)
 
 
@@ -53,7 +56,6 @@ def _kept(folder: Path, text: str) -> None:
 _OPERATIONS = {
     "file": (_file, {"a": "old"}),
     "new file": (_file, {}),
-    "files, some new": (_files, {"n01": "old", "session": "old"}),
     "folder": (_folder, {"result/one": "old", "result/below/two": "old"}),
     "folder in two steps": (_folder_in_two_steps, {"result/one": "old", "result/below/two": "old"}),
     "new folder": (_folder, {}),
@@ -103,8 +105,7 @@ def test_old_or_new_at_every_step(tmp_path, name, fault, capfd):
         outcomes.append(in_child(lambda at=folder: work(at, "new"), folder, step=step, fault=fault))
         if name in _NEVER_WITHOUT:
             assert _plain(_content(folder)) in (before, after), len(outcomes)
-        for reader in ("session", "result"):
-            disk.roll_back_interrupted(folder / reader)
+        disk.put_back_interrupted(folder / "result")
         states.append(_plain(_content(folder)))
         work(folder, "again")
         again = {key: text.replace("new", "again") for key, text in after.items()}
@@ -127,12 +128,60 @@ def test_old_or_new_at_every_step(tmp_path, name, fault, capfd):
     assert len(outcomes) > 5
 
 
+@pytest.mark.parametrize("fault", ["dies", "ENOSPC"])
+@pytest.mark.parametrize("before", [{}, {"n01": "n01 old", "n02": "n02 old", "session": "n01 n02"}])
+def test_files_and_what_names_them_change_together(tmp_path, before, fault):
+    """At every step, what the session names has the content of one moment."""
+    states = {"": "none"} | {f"n01 {text}n02 {text}": text for text in ("old", "new", "again")}
+
+    def state(folder: Path) -> str:
+        content = _content(folder)
+        return states["".join(content[name] for name in content.get("session", "").split())]
+
+    outcomes, seen = [], []
+    while not outcomes or outcomes[-1] != "done":
+        folder = tmp_path / str(len(outcomes))
+        _start(folder, before)
+        step = len(outcomes) + 1
+        work = partial(_files, folder, "new")
+        outcomes.append(in_child(work, folder, step=step, fault=fault))
+        seen.append(state(folder))
+        plain = _plain(_content(folder))
+        assert before.items() - {("session", "n01 n02")} <= plain.items()
+        if outcomes[-1] == "refused":
+            assert plain == before
+        # What a killed run has written is taken as it is by the next one.
+        _files(folder, "new")
+        assert state(folder) == "new"
+        assert len(_content(folder)) == max(3, 5 * bool(before))
+        _files(folder, "again")
+        assert state(folder) == "again"
+    assert seen[0] in ("none", "old")
+    assert seen[-1] == "new"
+    assert len(seen) > 5
+    # From some step on the new state.
+    assert fault != "dies" or seen == sorted(seen, key=lambda one: one == "new")
+
+
+def test_a_file_with_the_same_content_is_taken_as_it_is(tmp_path):
+    wanted = tmp_path / "n01.csv"
+    assert disk.free_name(wanted, b"a") == wanted
+    wanted.write_bytes(b"a")
+    assert disk.free_name(wanted, b"a") == wanted
+    assert disk.free_name(wanted, b"b") == tmp_path / "n01_2.csv"
+    # What is no file is never opened: a pipe would wait for ever.
+    os.mkfifo(tmp_path / "n01_2.csv")
+    (tmp_path / "n01_3.csv").symlink_to("nothing")
+    (tmp_path / "n01_4.csv").mkdir()
+    assert disk.free_name(wanted, b"") == tmp_path / "n01_5.csv"
+
+
 def test_a_second_process_is_told_who_writes(tmp_path):
     target = tmp_path / "result"
     with (
-        disk.atomic_replacement([target], folder=True),
+        disk.atomic_replacement(target, folder=True),
         pytest.raises(InUseError, match=rf"being written by process {os.getpid()} on "),
-        disk.atomic_replacement([target], folder=True),
+        disk.atomic_replacement(target, folder=True),
     ):
         raise AssertionError("the block must not run")
     # The lock of a process that was killed holds nobody up.
@@ -146,7 +195,7 @@ def _linked(path: Path) -> None:
     path.symlink_to("precious")
 
 
-# What may lie where a lock or a journal would, in a folder that comes from anywhere.
+# What may lie where a lock would, in a folder that comes from anywhere.
 _FOREIGN = {
     "link": _linked,
     "link to nothing": lambda path: path.symlink_to("nothing"),
@@ -169,16 +218,6 @@ def test_what_is_no_lock_stays_as_it_is(tmp_path, kind):
         assert not path.is_file() or path.read_text() == "of somebody else"
 
 
-@pytest.mark.parametrize("kind", ["link", "file", "folder", "pipe", "device"])
-def test_what_is_no_journal_is_refused_at_once(tmp_path, kind):
-    _FOREIGN[kind](tmp_path / ".session.journal")
-    for work in (_files, lambda folder, _: disk.roll_back_interrupted(folder / "session")):
-        with pytest.raises(RecordError, match="is not what Palpate leaves of an interrupted run"):
-            work(tmp_path, "new")
-    assert not (tmp_path / "session").exists()
-    assert not (tmp_path / ".session.lock").exists()
-
-
 @pytest.mark.usefixtures("heeded_signals")
 def test_a_signal_waits_until_all_is_in_place(tmp_path, monkeypatch):
     _start(tmp_path, {"session": "old"})
@@ -189,9 +228,10 @@ def test_a_signal_waits_until_all_is_in_place(tmp_path, monkeypatch):
         return real(*names)
 
     def work():
-        with disk.atomic_replacement([tmp_path / name for name in ("n01", "session")]) as staged:
-            for path in staged:
-                path.write_text("new")
+        session = tmp_path / "session"
+        with disk.new_files(session) as write, disk.atomic_replacement(session) as staged:
+            write(tmp_path / "n01", b"new")
+            staged.write_text("new")
             monkeypatch.setattr(os, "replace", replace)
 
     with pytest.raises(KeyboardInterrupt):
@@ -213,21 +253,6 @@ def test_what_earlier_versions_left(tmp_path, capsys):
     assert "kept as" in said
 
 
-def test_what_a_journal_may_name(tmp_path):
-    below = tmp_path / "session"
-    _start(below, {"session": "old"})
-    (tmp_path / "thesis").write_text("years of work")
-    for text in (
-        '{"undo": true, "there": {"../thesis": false}}',
-        f'{{"undo": true, "there": {{"{tmp_path / "thesis"}": false}}}}',
-        "[" * 10**5, "[]", "{}", '{"undo": true, "there": 3}', "\xff",
-    ):  # fmt: skip
-        (below / ".session.journal").write_text(text, encoding="latin-1")
-        with pytest.raises(RecordError, match="is not what Palpate leaves"):
-            disk.roll_back_interrupted(below / "session")
-    assert (tmp_path / "thesis").exists()
-
-
 def test_what_is_no_file_or_elsewhere_is_not_replaced(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(RecordError, match="pipe: is no regular file"):
@@ -239,14 +264,12 @@ def test_what_is_no_file_or_elsewhere_is_not_replaced(tmp_path):
     (tmp_path / "file").write_text("mine")
     with (
         pytest.raises(RecordError, match="file: is no folder"),
-        disk.atomic_replacement([tmp_path / "file"], folder=True),
+        disk.atomic_replacement(tmp_path / "file", folder=True),
     ):
         raise AssertionError("the block must not run")
     assert _content(tmp_path) == {"below/thesis": "years of work", "file": "mine"}
     (tmp_path / "n01").symlink_to(tmp_path / "below" / "n01")
-    with pytest.raises(RecordError, match="a link leads out of the folder"):
-        _files(tmp_path, "new")
-    # One alone may lie anywhere.
+    # A link to another place is followed.
     disk.write_bytes(tmp_path / "n01", b"new")
     assert (tmp_path / "below" / "n01").read_text() == "new"
 
@@ -258,7 +281,7 @@ def test_an_older_folder_without_rights_is_not_left_behind(tmp_path):
     (older / "plots" / "one.png").write_text("old")
     code = (
         "import sys, pathlib; from palpate.disk import atomic_replacement\n"
-        "with atomic_replacement([pathlib.Path(sys.argv[1])], folder=True) as (new,):\n"
+        "with atomic_replacement(pathlib.Path(sys.argv[1]), folder=True) as new:\n"
         "    (new / 'a').write_text('new')"
     )
     drop = [shutil.which("setpriv"), "--inh-caps=-all", "--bounding-set=-all"]

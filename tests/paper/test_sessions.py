@@ -183,7 +183,7 @@ def test_from_a_configuration_to_the_rows_of_both_methods(config, tmp_path: Path
     found = measured_session(
         config, tmp_path, variant=choose_variant(), progress=lambda *one: said.append(one)
     )
-    assert set(found.found) == set(METHODS)
+    assert set(found.flows) == set(METHODS)
     shares = [share for _, share in said]
     assert shares == sorted(shares)
     assert 0.9 < shares[-1] <= 1.0

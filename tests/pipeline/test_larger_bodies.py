@@ -6,8 +6,7 @@ import pytest
 from benchmarks.ball_session import POISSON_RATIO, SHEAR_MODULUS, write_ball_session
 from palpate.bem import CompressedSystem
 from palpate.bem.compressed import system as bem_system
-from palpate.errors import InputError
-from palpate.estimation import FitMethod, FitSettings
+from palpate.estimation import FitSettings
 from palpate.pipeline import fit_session, make_object_model, poke_session
 from palpate.records import read_session
 
@@ -54,8 +53,3 @@ def test_a_push_is_that_of_the_dense_model(session, request):
     found = poke_session(session, first.force, first.contact, **material)
     assert np.allclose(found.displacement, wanted.displacement, rtol=1e-5)
     assert np.allclose(found.reaction, wanted.reaction, rtol=1e-5)
-
-
-def test_a_method_that_factorises_is_refused(session, compressed):
-    with pytest.raises(InputError, match="nelder-mead factorises anew"):
-        fit_session(session, settings=FitSettings(method=FitMethod.NELDER_MEAD))

@@ -10,12 +10,12 @@ from lab.lab_configs import HALF_BALL
 from lab.planned_sessions import planned_session
 from surfaces import box
 
+from palpate.checkpoints import Memory
 from palpate.errors import InputError
 from palpate.estimation import fisher_information
 from palpate.field.field_responses import at_points, make_field_model
 from palpate.geometry import closest_points
 from palpate.lab import choose_variant, make_session, read_lab_config
-from palpate.parts import Memory
 from palpate.pipeline import (
     PREDICTION,
     Material,

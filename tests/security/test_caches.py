@@ -12,15 +12,15 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from palpate import parts
-from palpate.parts import Parts
+from palpate import checkpoints
+from palpate.checkpoints import Checkpoints
 from palpate.records import Constant
 
 
 @pytest.fixture
 def store(tmp_path):
     """A cache that holds a part of some arrays."""
-    store = Parts(tmp_path / "cache", "key")
+    store = Checkpoints(tmp_path / "cache", "key")
     store.stored("one", (np.arange(3.0), Constant(1.0, 0.1, (0.5, 1.5))))
     return store
 
@@ -77,8 +77,8 @@ RECORD = ["record", "palpate.records.estimate", "Constant"]
         _npz(json.dumps([*RECORD, {"value": 1.0}])),
         _npz(json.dumps([*RECORD, {"value": "text", "std": None, "interval": None, "x": 1}])),
         _npz(json.dumps(["record", "palpate.records", "read_session", {"path": "/"}])),
-        _npz(json.dumps(["record", "palpate.parts", "Path", {}])),
-        _npz(json.dumps(["record", "palpate.parts", ["os"], {}])),
+        _npz(json.dumps(["record", "palpate.checkpoints", "Path", {}])),
+        _npz(json.dumps(["record", "palpate.checkpoints", ["os"], {}])),
         _npz(json.dumps(["record", "builtins", "print", {}])),
         _npz(json.dumps(["enum", "palpate.records.estimate", "Constant", "OK"])),
         # An index far outside of the matrix: a product with it would end the process.
@@ -136,4 +136,4 @@ def test_a_part_of_another_user_is_not_read(store, monkeypatch):
 
 def test_no_cache_is_read_with_pickle():
     """Code in a file runs as soon as somebody unpickles it, whatever is checked then."""
-    assert "pickle" not in vars(parts)
+    assert "pickle" not in vars(checkpoints)

@@ -250,10 +250,10 @@ def _cell_value(cell: str) -> Any:
         return int(text)
     if re.fullmatch(_NUMBER, text):
         return float(text)
-    if found := _WITH_DEVIATION.fullmatch(text):
-        return {"value": float(found[1]), "std": float(found[2])}
-    if found := _INTERVAL.fullmatch(text):
-        return [float(found[1]), float(found[2])]
+    if match := _WITH_DEVIATION.fullmatch(text):
+        return {"value": float(match[1]), "std": float(match[2])}
+    if match := _INTERVAL.fullmatch(text):
+        return [float(match[1]), float(match[2])]
     if _VECTOR.fullmatch(text):
         return [_cell_value(part) for part in text.split(",")]
     return text

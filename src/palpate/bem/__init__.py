@@ -3,8 +3,8 @@
 Purpose    : compute how every point of an object moves under a load; one assembly serves all
              elastic constants.
 Takes      : a closed triangle mesh, the triangles of its support, tractions on its free surface.
-Gives      : `BoundarySystem` (equations for all materials, compressed for large bodies),
-             right-hand sides, `ElasticMap` (one material), interior displacement and stress.
+Gives      : `BoundarySystem` (equations for all materials, compressed for large bodies), right-hand
+             sides, its `Solver`, `ElasticMap` (one material), interior displacement and stress.
 Depends on : geometry; errors, threads.
 Read first : `integrals/kelvin.py`, `system/system.py`, `elastic_map.py`.
 """
@@ -60,6 +60,10 @@ from palpate.bem.reduced_model import (
     SolutionModel as SolutionModel,
     make_reduced_model as make_reduced_model,
     make_spring_model as make_spring_model,
+)
+from palpate.bem.solver import (
+    Solver as Solver,
+    make_solver as make_solver,
 )
 from palpate.bem.system.factors import (
     CentredSystem as CentredSystem,

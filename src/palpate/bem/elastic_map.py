@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from palpate.bem.compressed.iterative import ClusterInverse, cluster_inverse, solve_compressed
-from palpate.bem.compressed.system import CompressedSystem
 from palpate.bem.integrals.kelvin import check_material
 from palpate.bem.integrals.surface import integral_weights
 from palpate.bem.loads.local_indentation import (
@@ -19,7 +17,8 @@ from palpate.bem.loads.local_indentation import (
     missed_indentation,
 )
 from palpate.bem.loads.surface_load import SurfaceLoad
-from palpate.bem.system.factors import CentredSystem, FactorisedSystem, solve
+from palpate.bem.solver import Solve, make_solver
+from palpate.bem.system.factors import CentredSystem
 from palpate.bem.system.springs import (
     Springs,
     SpringSystem,
@@ -27,7 +26,6 @@ from palpate.bem.system.springs import (
     make_spring_system,
 )
 from palpate.bem.system.system import BoundarySystem
-from palpate.errors import InputError
 from palpate.geometry import interpolation_matrix
 
 
@@ -55,14 +53,14 @@ class ElasticMap:
     Attributes
     ----------
     system : BoundarySystem
-    factorised : FactorisedSystem, or ClusterInverse where the system is compressed
+    solve : callable                      right-hand sides -> unknowns, on rigid supports
     shear_modulus : float [Pa]
     poisson_ratio : float [-]
     springs : SpringSystem or None        of compliant supports; None: rigid supports
     """
 
     system: BoundarySystem
-    factorised: FactorisedSystem | ClusterInverse
+    solve: Solve
     shear_modulus: float
     poisson_ratio: float
     springs: SpringSystem | None = None
@@ -90,7 +88,7 @@ class ElasticMap:
         corrections = indentation_corrections(surface, loads)
         right = load_right_hand(self.system, loads, corrections)
         if self.springs is None:
-            unit = _solved(self.factorised, right.at(self.poisson_ratio)) / self.shear_modulus
+            unit = self.solve(right.at(self.poisson_ratio)) / self.shear_modulus
         else:
             right = right.on_springs(self.springs.compliance, self.springs.compliance_derivatives)
             unit = self.springs.solve(right.at(self.poisson_ratio)) / self.shear_modulus
@@ -155,14 +153,6 @@ class ElasticMap:
         return total
 
 
-def _solved(
-    factorised: FactorisedSystem | ClusterInverse, right: Float[np.ndarray, "r c"]
-) -> Float[np.ndarray, "k c"]:
-    if isinstance(factorised, ClusterInverse):
-        return solve_compressed(factorised, right).solution
-    return solve(factorised, right)
-
-
 def make_elastic_map(
     system: BoundarySystem,
     *,
@@ -178,7 +168,7 @@ def make_elastic_map(
     system : BoundarySystem           from `boundary_system`
     shear_modulus : float [Pa]        > 0
     poisson_ratio : float [-]         -1 < nu <= 0.5
-    springs : Springs or None         of the compliant supports
+    springs : Springs or None         of the compliant supports; by dense factors, whatever the size
     compliance : (s,) float [m/Pa]    of each of these supports: displacement over traction;
                                       without springs and compliance all supports are rigid
 
@@ -188,28 +178,20 @@ def make_elastic_map(
 
     Raises
     ------
-    InputError                        constants out of range; springs with a compressed system
+    InputError                        constants out of range
     SingularSystemError               the matrix is singular to working precision
     """
     check_material(shear_modulus, poisson_ratio)
-    if isinstance(system, CompressedSystem):
-        if springs is not None:
-            raise InputError(
-                f"a surface of {len(system.surface.mesh.vertices)} vertices is solved by iteration,"
-                " which knows rigid supports only; its support gives (stiffness): simplify the"
-                " surface, or leave the stiffness out if it hardly gives"
-            )
-        inverse = cluster_inverse(system, poisson_ratio)
-        return ElasticMap(system, inverse, shear_modulus, poisson_ratio)
-    factorised = CentredSystem(system, poisson_ratio).factorised
+    solve = make_solver(system).at(poisson_ratio, keep=True)
     on_springs = None
     if springs is not None and compliance is not None:
+        factorised = CentredSystem(system, poisson_ratio).factorised
         spring_compliance = springs.compliance(compliance * shear_modulus / system.traction_length)
         no_derivatives = np.zeros((0, spring_compliance.size))
         on_springs = make_spring_system(
             make_spring_factors(factorised, system, springs), spring_compliance, no_derivatives
         )
-    return ElasticMap(system, factorised, shear_modulus, poisson_ratio, on_springs)
+    return ElasticMap(system, solve, shear_modulus, poisson_ratio, on_springs)
 
 
 def sorted_state(

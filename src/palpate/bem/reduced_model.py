@@ -37,16 +37,14 @@ from palpate.bem.system.factors import CentredSystem, solve
 from palpate.bem.system.matrix import SystemSlope
 from palpate.bem.system.springs import SpringFactors, SpringSlope, make_spring_system
 from palpate.bem.system.system import BoundarySystem
+from palpate.checkpoints import Checkpoints, content_digest
 from palpate.errors import NotConvergedError
-from palpate.parts import Parts, content_digest
 
 # Poisson's ratio of the factorisation or of the first snapshot, typical of most materials.
 CENTRE = 0.3
 MOST_DIRECTIONS = 80
 # Largest relative residual allowed at both ends of the range.
 DENSE_RESIDUAL = 1e-8
-# The same over the range for a compressed system, which iteration solves: no less.
-_SNAPSHOT_RESIDUAL = 5e-7
 # Right-hand sides that are solved for together: enough for the full speed of matrix products, and
 # not all of them, as it takes several times the memory of their solutions.
 _SLICE = 64
@@ -154,10 +152,8 @@ def make_reduced_model(
     *,
     poisson_range: tuple[float, float] = (0.0, 0.4999),
     tolerance: float | Float[np.ndarray, " c"] = DENSE_RESIDUAL,
-) -> SolutionModel:
+) -> ReducedModel:
     """Factorise once and extend the Krylov basis until it covers the whole range.
-
-    A compressed system is not factorised: it is solved at a few Poisson's ratios instead.
 
     Parameters
     ----------
@@ -166,30 +162,25 @@ def make_reduced_model(
     poisson_range : (float, float)    range of Poisson's ratio that the model must cover
     tolerance : float or (c,) float   largest relative residual allowed at both ends of the range,
                                       where it peaks; in thin bodies the relative error of the
-                                      solution may be 1000 times as large. For a compressed system
-                                      the smallest of them, but no less than 5e-7, over the range
+                                      solution may be 1000 times as large
 
     Returns
     -------
-    SolutionModel                     a `ReducedBasis` for a compressed system
+    ReducedModel
 
     Raises
     ------
     SingularSystemError               the support does not hold the object
     NotConvergedError                 the tolerance is not met with `MOST_DIRECTIONS`
     """
-    if isinstance(system, CompressedSystem):
-        return reduced_basis(
-            system, right.terms, poisson_range=poisson_range,
-            tolerance=max(float(np.min(tolerance)), _SNAPSHOT_RESIDUAL),
-        )  # fmt: skip
     if isinstance(system, CentredSystem):
-        parts, centred = system.system.parts, system
-    elif system.parts.in_memory:
-        parts, centred = system.parts, CentredSystem(system, CENTRE)
+        checkpoints, centred = system.system.checkpoints, system
+    elif system.checkpoints.in_memory:
+        checkpoints, centred = system.checkpoints, CentredSystem(system, CENTRE)
     else:
         # Factors that are not shared serve this model alone, which is kept itself.
-        parts, centred = system.parts, CentredSystem(replace(system, parts=Parts(None)), CENTRE)
+        unshared = replace(system, checkpoints=Checkpoints(None))
+        checkpoints, centred = system.checkpoints, CentredSystem(unshared, CENTRE)
     depends_on = centred.single, right.terms, poisson_range, tolerance
 
     def make() -> ReducedModel:
@@ -197,9 +188,9 @@ def make_reduced_model(
         return _krylov_model(solve_at_centre, centred.slope.apply, right, poisson_range, tolerance)
 
     # In memory are the factors, which other contacts need, too.
-    if parts.in_memory:
+    if checkpoints.in_memory:
         return make()
-    return parts.load_or_make(content_digest(("reduced model", depends_on)), make)
+    return checkpoints.load_or_make(content_digest(("reduced model", depends_on)), make)
 
 
 def make_spring_model(

@@ -293,12 +293,12 @@ def _driver(table: TomlTable, drivers: Mapping[str, Callable[[TomlTable], Any]])
 
 def _cameras(root: TomlTable, rig: Rig | None) -> tuple[Camera, ...]:
     """A camera for each of the rig's, in its order; as they stand in the file without one."""
-    found: dict[str, Camera] = {}
+    cameras: dict[str, Camera] = {}
     sources: dict[str, str] = {}
     names = [camera.name for camera in rig.cameras] if rig else []
     for table in root.tables("camera"):
         name = table.choice("name", names) if rig else table.label("name")
-        if name in found:
+        if name in cameras:
             table.fail("name", f"camera '{name}' is there twice; give each its own name")
         source = quoted(table.get("source"))
         if source in sources:
@@ -307,12 +307,12 @@ def _cameras(root: TomlTable, rig: Rig | None) -> tuple[Camera, ...]:
                 " have two sources: swap them if the pictures are those of the other"
             )  # fmt: skip
         sources[source] = name
-        found[name] = _driver(table, CAMERA_DRIVERS)
-    if len(found) < 2:
+        cameras[name] = _driver(table, CAMERA_DRIVERS)
+    if len(cameras) < 2:
         root.fail("[[camera]]", "is one camera; must be two or more, 20 to 40 degrees apart")
-    if missing := [name for name in names if name not in found]:
+    if missing := [name for name in names if name not in cameras]:
         root.fail("[[camera]]", f"the rig's cameras {', '.join(missing)} have no table")
-    return tuple(found[name] for name in names or found)
+    return tuple(cameras[name] for name in names or cameras)
 
 
 def _positive_force(table: TomlTable, key: str) -> float:

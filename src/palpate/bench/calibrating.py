@@ -146,12 +146,12 @@ def calibrate_live(bench: Bench, questions: Questions, folder: Path) -> None:
         calibration = _judged(places, questions)
         if calibration is None:
             continue
-        if _TABLE not in calibration.found.views:
+        if _TABLE not in calibration.sightings.views:
             questions.tell("The board on the table does not agree with the others: once more")
             places.forget_table()
             continue
         frame = board_frame(calibration, [board], _TABLE)
-        with atomic_replacement([folder / CALIBRATED], folder=True) as (staged,):
+        with atomic_replacement(folder / CALIBRATED, folder=True) as staged:
             write_calibration(staged, calibration, frame=frame)
         return
 
@@ -268,7 +268,7 @@ def place_object(bench: Bench, questions: Questions, folder: Path, mesh: Triangl
         rig = moved_rig(rig, motion)
         search = questions.choose("Fit it to the pictures from there?", ["yes", "no"]) == "yes"
     put(covariance.read_bytes(), folder / covariance.name)
-    with atomic_replacement([folder / "rig.toml"]) as (staged,):
+    with atomic_replacement(folder / "rig.toml") as staged:
         write_rig(staged, rig)
 
 

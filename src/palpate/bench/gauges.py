@@ -132,11 +132,11 @@ class SerialGauge:
             self._line.write(self.protocol.request)
 
     def _newtons(self, match: "re.Match[bytes]") -> float:
-        found = {name: text.decode() for name, text in match.groupdict().items() if text}
-        if "over" in found:
+        groups = {name: text.decode() for name, text in match.groupdict().items() if text}
+        if "over" in groups:
             raise self._error("is overloaded; press less deep, or take one of a larger range")
         known = self.protocol.units or {}
-        said = found.get("unit")
+        said = groups.get("unit")
         said = None if said is None else known.get(said, said)
         unit = self.unit or said
         if unit is None:
@@ -147,8 +147,8 @@ class SerialGauge:
             )
         if unit not in FORCE_UNITS:
             raise self._error(f"sends {unit}; switch it to one of {', '.join(FORCE_UNITS)}")
-        sign = -1.0 if found.get("sign") == "0" else 1.0
-        return sign * FORCE_UNITS[unit] * float(found["value"])
+        sign = -1.0 if groups.get("sign") == "0" else 1.0
+        return sign * FORCE_UNITS[unit] * float(groups["value"])
 
     def _check(self, count: int, end: int, now: float) -> None:
         """Refuse a gauge that is silent or speaks another language."""

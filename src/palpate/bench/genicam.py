@@ -26,10 +26,10 @@ def genicam_pictures(serial: str, producer: str) -> Iterator[Any]:
     producer : str                  path of the maker's .cti
     """
     core = late_import("harvesters.core", extra="genicam", purpose="a GenICam camera")
-    found = core.Harvester()
-    found.add_file(producer, check_existence=True)
-    found.update()
-    camera = found.create({"serial_number": serial})
+    harvester = core.Harvester()
+    harvester.add_file(producer, check_existence=True)
+    harvester.update()
+    camera = harvester.create({"serial_number": serial})
     nodes = camera.remote_device.node_map
     for name, value in _FIXED.items():
         if hasattr(nodes, name):

@@ -32,14 +32,14 @@ class LiveMotion:
         self, rig: Rig, mesh: TriangleMesh, rest: Pictures, place: tuple[Vector3, Vector3]
     ) -> None:
         # When [s], and how far along the normal [m].
-        self.found: list[tuple[float, float]] = []
+        self.trace: list[tuple[float, float]] = []
         self._method, self._place = JointFlow(step=_STEP), place
         self._pool = ThreadPoolExecutor(1)
         self._work: Future[None] = self._pool.submit(self._begin, rig, mesh, rest)
 
     def look(self, when: float, pictures: Pictures) -> None:
         """Follow these pictures, unless others are still being followed."""
-        if self._work.done() and (not self.found or when > self.found[-1][0]):
+        if self._work.done() and (not self.trace or when > self.trace[-1][0]):
             self._work = self._pool.submit(self._follow, when, pictures)
 
     def close(self) -> None:
@@ -56,4 +56,4 @@ class LiveMotion:
         known = np.flatnonzero(is_valid(flow))
         near = known[np.linalg.norm(flow.point[known] - point, axis=1).argsort()[:_NEAREST]]
         if len(near):
-            self.found.append((when, float(np.median(flow.displacement[near] @ inward))))
+            self.trace.append((when, float(np.median(flow.displacement[near] @ inward))))

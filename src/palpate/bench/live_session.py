@@ -15,11 +15,11 @@ from scipy.spatial import cKDTree
 
 from palpate.bench.pushing import PushError, TakenPush, write_picture
 from palpate.bench.questions import Pictures
+from palpate.checkpoints import Cache, Memory
 from palpate.disk import atomic_replacement, write_bytes
 from palpate.errors import InputError, RecordError
 from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh, bounding_diagonal
-from palpate.parts import Cache, Memory
 from palpate.pipeline import (
     Material,
     NextProbings,
@@ -216,7 +216,7 @@ class LiveSession:
             "images": {"rest": _REST.format(name), "loaded": [_LOADED.format(name)]},
         }
         content = self.content | {"probe": [*self.content["probe"], probe]}
-        with atomic_replacement([self.file]) as (staged,):
+        with atomic_replacement(self.file) as staged:
             staged.write_text(tomlkit.dumps(content), encoding="utf-8")
             motions = self._measured(read_session(staged), name)
             if self.by_hand:

@@ -225,8 +225,8 @@ class Page(Questions):
         try:
             question = "Does the outline lie on the object in the pictures? If not, drag it there."
             self._answer(question, ["It lies there"])
-            found = motion()
-            return None if np.allclose(found, np.eye(4), atol=1e-9) else found
+            live = motion()
+            return None if np.allclose(live, np.eye(4), atol=1e-9) else live
         finally:
             self._outline = None
             handle.remove()
@@ -248,7 +248,7 @@ class Page(Questions):
         self._follow(pictures, time, state)
         if self._show(pictures, state, dots):
             self._question.content = question_html(state.capitalize())
-            moved = [] if self._motion is None else list(self._motion.found)
+            moved = [] if self._motion is None else list(self._motion.trace)
             self._trace.content = trace_svg(time, force, moved)
 
     def _follow(self, pictures: Pictures, time: list[float], state: str) -> None:

@@ -312,24 +312,24 @@ def _by_hand(
     """A person presses, the gauge says when it is held and when it is over."""
     rest = _at_rest(questions, watch, where)
     questions.tell(f"Press straight in near {where}, and hold still for {bench.hold:g} s")
-    begun, found, watch.state = time.monotonic(), None, "press"
-    while found is None or found.held < bench.hold:
+    begun, force, watch.state = time.monotonic(), None, "press"
+    while force is None or force.held < bench.hold:
         watch.poll()
-        found = watch.force()
-        if found is not None and found.span is not None:
-            watch.state = f"hold still: {found.held:.1f} of {bench.hold:g} s"
+        force = watch.force()
+        if force is not None and force.span is not None:
+            watch.state = f"hold still: {force.held:.1f} of {bench.hold:g} s"
         if time.monotonic() - begun > _PATIENCE:
             raise PushError(f"no push was held for {bench.hold:g} s within a minute; try again")
-    begin, end = found.span or (0.0, 0.0)
+    begin, end = force.span or (0.0, 0.0)
     loaded = watch.mean(begin + _DELIVERY, end, rest)
     watch.state = "lift off"
     questions.tell("Got it: lift off")
-    while not found.touch.ended:
+    while not force.touch.ended:
         watch.poll()
-        found = watch.force() or found
+        force = watch.force() or force
         if time.monotonic() - begun > 2.0 * _PATIENCE:
             raise PushError("the tool was not lifted off, so the gauge's zero is not known")
-    return rest, loaded, _size(found.reading(), questions)
+    return rest, loaded, _size(force.reading(), questions)
 
 
 def _typed(
@@ -380,9 +380,9 @@ def _by_arm(
     except DeviceError:
         arm.stop()
         raise
-    if (found := watch.force()) is None:
+    if (force := watch.force()) is None:
         raise PushError("the gauge shows no push that was held; is it in line with the tool?")
-    return rest, loaded, _size(found.reading(), watch.questions)
+    return rest, loaded, _size(force.reading(), watch.questions)
 
 
 def _press(arm: GuardedArm, watch: _Watch, place: Vector3, inward: Vector3, wanted: float) -> None:

@@ -249,11 +249,11 @@ def _inverse(
 
 def _missing_tilts(bundle: Bundle, corners: Corners) -> list[str]:
     """Directions in which some camera saw no board tilted."""
-    found: set[str] = set()
+    missing: set[str] = set()
     for c, pose in enumerate(bundle.camera):
         views = np.unique(corners.view[corners.camera == c])
-        found.update(missing_tilts(pose @ bundle.view[views]))
-    return [side for side in _SIDES if side in found]
+        missing.update(missing_tilts(pose @ bundle.view[views]))
+    return [side for side in _SIDES if side in missing]
 
 
 def view_jacobians(bundle: Bundle, corners: Corners) -> Float[np.ndarray, "m 2 6"]:

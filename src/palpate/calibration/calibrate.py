@@ -46,7 +46,7 @@ class Calibration:
     covariance : (p, p) float       of the parameters in `names`
     names : tuple of p str          lens terms of every camera, then rotation [rad] and shift [m] of
                                     every camera except the first, e.g. "c1.fx", "c1.tx"
-    found : Sightings               views that were used
+    sightings : Sightings           views that were used
     corners : Corners               with marks numbered consistently in all cameras
     adjusted : Adjusted             result of the bundle adjustment
     notes : tuple of str            what was left out, and why
@@ -55,19 +55,19 @@ class Calibration:
     cameras: tuple[Camera, ...]
     covariance: Float[np.ndarray, "p p"]
     names: tuple[str, ...]
-    found: Sightings
+    sightings: Sightings
     corners: Corners
     adjusted: Adjusted
     notes: tuple[str, ...]
 
 
-def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
+def calibrate(sightings: Sightings, targets: Sequence[Target]) -> Calibration:
     """Calibrate all cameras together.
 
     Parameters
     ----------
-    found : Sightings
-    targets : sequence of Target    the boards in `found`
+    sightings : Sightings
+    targets : sequence of Target    the boards in `sightings`
 
     Returns
     -------
@@ -78,12 +78,12 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
     CalibrationError                too few views; cameras that share none; views too alike; more
                                     than a third of the views contradict the others
     """
-    bundle, corners, inconsistent = _start_bundle(found, targets)
-    cameras = cameras_of(found, bundle)
-    notes = list(found.notes)
+    bundle, corners, inconsistent = _start_bundle(sightings, targets)
+    cameras = cameras_of(sightings, bundle)
+    notes = list(sightings.notes)
     for v in np.flatnonzero(inconsistent).tolist():
         cause = _cause(corners.chosen(corners.view == v), cameras)
-        notes.append(f"view '{found.views[v]}' has its board at two places; left out: {cause}")
+        notes.append(f"view '{sightings.views[v]}' has its board at two places; left out: {cause}")
     views = np.flatnonzero(~inconsistent)
     bundle, corners = without_views(bundle, corners, inconsistent)
     while True:
@@ -97,26 +97,26 @@ def calibrate(found: Sightings, targets: Sequence[Target]) -> Calibration:
                 f"{int(bad.sum())} of {len(bad)} views contradict the others; is the board flat,"
                 " are its dimensions right, and did all cameras take each picture at one instant?"
             )
-        cameras = cameras_of(found, adjusted.bundle)
+        cameras = cameras_of(sightings, adjusted.bundle)
         for v in np.flatnonzero(bad).tolist():
             cause = _cause(corners.chosen(corners.view == v), cameras)
             notes.append(
-                f"view '{found.views[views[v]]}' leaves {excess[v]:.1f} times the usual error; left"
-                f" out: {cause}"
+                f"view '{sightings.views[views[v]]}' leaves {excess[v]:.1f} times the usual error;"
+                f" left out: {cause}"
             )
         views = views[~bad]
         bundle, corners = without_views(adjusted.bundle, corners, bad)
     used = replace(
-        found,
-        views=tuple(found.views[v] for v in views),
-        targets=tuple(found.targets[v] for v in views),
+        sightings,
+        views=tuple(sightings.views[v] for v in views),
+        targets=tuple(sightings.targets[v] for v in views),
         corners=corners,
     )
-    count = len(LENS_TERMS) * len(found.cameras) + 6 * (len(found.cameras) - 1)
+    count = len(LENS_TERMS) * len(sightings.cameras) + 6 * (len(sightings.cameras) - 1)
     return Calibration(
-        cameras_of(found, adjusted.bundle),
+        cameras_of(sightings, adjusted.bundle),
         adjusted.covariance[:count, :count],
-        _names(found.cameras),
+        _names(sightings.cameras),
         used,
         corners,
         adjusted,
@@ -162,18 +162,18 @@ def board_frame(
     ------
     CalibrationError                there is no such view, or it was left out
     """
-    found = calibration.found
-    if view not in found.views:
+    sightings = calibration.sightings
+    if view not in sightings.views:
         raise CalibrationError(
-            f"there is no view '{view}' among those that were used: {', '.join(found.views)}; give"
-            " another to --table"
+            f"there is no view '{view}' among those that were used: {', '.join(sightings.views)};"
+            " give another to --table"
         )
-    number = found.views.index(view)
+    number = sightings.views.index(view)
     pose = calibration.adjusted.bundle.view[number]
     # Most targets have y down, so that their z axis points away from the viewer.
     away = np.sign(pose[:3, 2] @ pose[:3, 3])
     T_board_frame = np.diag([1.0, -away, -away, 1.0])
-    T_board_frame[:3, 3] = targets[found.targets[number]].points.mean(axis=0)
+    T_board_frame[:3, 3] = targets[sightings.targets[number]].points.mean(axis=0)
     return pose @ T_board_frame
 
 
@@ -272,12 +272,12 @@ def without_views(
     return replace(bundle, view=bundle.view[keep]), replace(remaining, view=number[remaining.view])
 
 
-def cameras_of(found: Sightings, bundle: Bundle) -> tuple[Camera, ...]:
+def cameras_of(sightings: Sightings, bundle: Bundle) -> tuple[Camera, ...]:
     """The cameras of a bundle.
 
     Parameters
     ----------
-    found : Sightings               provides names and sizes
+    sightings : Sightings               provides names and sizes
     bundle : Bundle
 
     Returns
@@ -291,7 +291,7 @@ def cameras_of(found: Sightings, bundle: Bundle) -> tuple[Camera, ...]:
     return tuple(
         Camera(name, size, camera_matrix(intrinsics[:4]), intrinsics[4:], pose)
         for name, size, intrinsics, pose in zip(
-            found.cameras, found.sizes, bundle.intrinsics, bundle.camera, strict=True
+            sightings.cameras, sightings.sizes, bundle.intrinsics, bundle.camera, strict=True
         )
     )
 
@@ -302,14 +302,14 @@ def _names(cameras: Sequence[str]) -> tuple[str, ...]:
 
 
 def _start_bundle(
-    found: Sightings, targets: Sequence[Target]
+    sightings: Sightings, targets: Sequence[Target]
 ) -> tuple[Bundle, Corners, Bool[np.ndarray, " v"]]:
     """Initial cameras and board poses for the bundle adjustment.
 
     Parameters
     ----------
-    found : Sightings
-    targets : sequence of Target    the boards in `found`
+    sightings : Sightings
+    targets : sequence of Target    the boards in `sightings`
 
     Returns
     -------
@@ -324,8 +324,8 @@ def _start_bundle(
                                     poses of a camera that mostly contradict the others
     """
     intrinsics, poses = [], []
-    for c, name in enumerate(found.cameras):
-        lens, seen = _single_camera(found, c)
+    for c, name in enumerate(sightings.cameras):
+        lens, seen = _single_camera(sightings, c)
         if len(seen) < _MIN_VIEWS:
             raise CalibrationError(
                 f"camera '{name}': the board was found in {len(seen)} views; at least {_MIN_VIEWS}"
@@ -333,29 +333,31 @@ def _start_bundle(
             )
         intrinsics.append(lens)
         poses.append(seen)
-    camera, view, turned, inconsistent = _placed(found, targets, poses)
-    mark = found.mark.copy()
+    camera, view, turned, inconsistent = _placed(sightings, targets, poses)
+    mark = sightings.mark.copy()
     for c, v in turned:
-        rows = (found.corners.camera == c) & (found.corners.view == v)
-        mark[rows] = np.asarray(targets[found.targets[v]].turned)[mark[rows]]
-    point = found.corners.point.copy()
+        rows = (sightings.corners.camera == c) & (sightings.corners.view == v)
+        mark[rows] = np.asarray(targets[sightings.targets[v]].turned)[mark[rows]]
+    point = sightings.corners.point.copy()
     for k, target in enumerate(targets):
-        rows = np.array(found.targets)[found.corners.view] == k
+        rows = np.array(sightings.targets)[sightings.corners.view] == k
         point[rows] = target.points[mark[rows]]
-    corners = Corners(found.corners.camera, found.corners.view, point, found.corners.pixel)
+    corners = Corners(
+        sightings.corners.camera, sightings.corners.view, point, sightings.corners.pixel
+    )
     flags = np.isin(np.arange(len(view)), inconsistent)
     return Bundle(np.stack(intrinsics), np.stack(camera), np.stack(view)), corners, flags
 
 
-def _single_camera(found: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], dict[int, _Pose]]:
+def _single_camera(sightings: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], dict[int, _Pose]]:
     """Lens of one camera, and the poses of the boards it sees in its own frame."""
-    mine = found.corners.chosen(found.corners.camera == c)
+    mine = sightings.corners.chosen(sightings.corners.camera == c)
     views = np.unique(mine.view)
     points = [mine.point[mine.view == v].astype(np.float32) for v in views]
     pixels = [mine.pixel[mine.view == v].astype(np.float32) for v in views]
     if len(views) < _MIN_VIEWS:
         return np.zeros(9), {int(v): np.eye(4) for v in views}
-    size = found.sizes[c]
+    size = sightings.sizes[c]
     # Few views may not determine k3; without it the start is closer.
     _, matrix, lens, turn, shift = cv2.calibrateCamera(
         points, pixels, size, camera_matrix(np.zeros(4)), np.zeros(5), flags=cv2.CALIB_FIX_K3
@@ -371,7 +373,7 @@ def _single_camera(found: Sightings, c: int) -> tuple[Float[np.ndarray, "9"], di
 
 
 def _placed(
-    found: Sightings, targets: Sequence[Target], poses: Sequence[Mapping[int, _Pose]]
+    sightings: Sightings, targets: Sequence[Target], poses: Sequence[Mapping[int, _Pose]]
 ) -> tuple[list[_Pose], list[_Pose], list[tuple[int, int]], list[int]]:
     """Poses of cameras and views in the first camera's frame; pairs (camera, view) whose marks are
     numbered the other way round; views whose poses differ between cameras."""
@@ -384,20 +386,20 @@ def _placed(
         best = max(remaining, key=lambda c: len(view.keys() & poses[c].keys()))
         common = sorted(view.keys() & poses[best].keys())
         if not common:
-            names = ", ".join(f"'{found.cameras[c]}'" for c in remaining)
+            names = ", ".join(f"'{sightings.cameras[c]}'" for c in remaining)
             raise CalibrationError(
                 f"cameras {names} share no view of a board with the others: take pictures of the"
                 " board where two cameras see it at the same instant; files of one instant must"
                 " have the same name in every camera's folder"
             )
-        turns = {v: half_turn(targets[found.targets[v]]) for v in poses[best]}
+        turns = {v: half_turn(targets[sightings.targets[v]]) for v in poses[best]}
         pose, flipped, gaps = _agreed(view, poses[best], common, turns)
         difference = float(np.median(gaps))
         inconsistent += [v for v, gap in zip(common, gaps, strict=True) if gap > _MAX_DIFFERENCE]
         if difference > _MAX_DIFFERENCE:
             raise CalibrationError(
-                f"camera '{found.cameras[best]}' and the others do not see the board at the same"
-                f" place: its poses differ by {100 * difference:.0f} % of the distance in"
+                f"camera '{sightings.cameras[best]}' and the others do not see the board at the"
+                f" same place: its poses differ by {100 * difference:.0f} % of the distance in"
                 f" the median of {len(common)} common views; were pictures of the same name taken"
                 " at the same instant? To calibrate the lens of one camera alone, give its own"
                 " folder"

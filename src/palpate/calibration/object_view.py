@@ -118,7 +118,7 @@ def find_instants(rig: Rig, pattern: str) -> tuple[str, ...]:
     before, _, after = mine.name.partition("*")
     form = re.compile(f"{re.escape(before)}(.*){re.escape(after)}")
     names = sorted(path.name for path in mine.parent.glob(mine.name))
-    stars = [found.group(1) for name in names if (found := form.fullmatch(name))]
+    stars = [match.group(1) for name in names if (match := form.fullmatch(name))]
     if not stars:
         raise RecordError(
             f"{pattern}: there is no file {mine}; give the pictures of the object at rest, with"
@@ -158,7 +158,7 @@ def view_object(
     RecordError, CalibrationError   pictures cannot be read or do not show the object; the points
                                     cannot be registered to the mesh, or are too few for refinement
     """
-    found, grey = [], []
+    matches, grey = [], []
     notes: list[str] = []
     for k, pattern in enumerate(instants if refine else instants[:1]):
         progress(pattern, 0.8 * k / len(instants))
@@ -167,16 +167,16 @@ def view_object(
         prepared = prepare_pictures(rig, read.grey)
         # With `refine`, a moved camera is to be corrected, not rejected.
         notes += [] if refine else check_rig(prepared)[2]
-        found.append(stereo_matches(prepared, settings=_SETTINGS))
+        matches.append(stereo_matches(prepared, settings=_SETTINGS))
     progress("registration", 0.8)
-    registration, points = _registered(rig, mesh, found[0])
+    registration, points = _registered(rig, mesh, matches[0])
     refined = None
     if refine:
         progress("refinement", 0.9)
-        surface = _surface(rig, mesh, registration, _ties(rig, found[:1], step=1))
-        refined = refined_rig(rig, known, _ties(rig, found, step=_INDEPENDENT_STEP), surface)
+        surface = _surface(rig, mesh, registration, _ties(rig, matches[:1], step=1))
+        refined = refined_rig(rig, known, _ties(rig, matches, step=_INDEPENDENT_STEP), surface)
         if refined.better:
-            trial, trial_points = _registered(refined.rig, mesh, found[0])
+            trial, trial_points = _registered(refined.rig, mesh, matches[0])
             if trial.residual < _MAX_RESIDUAL_RATIO * registration.residual:
                 rig, registration, points = refined.rig, trial, trial_points
             else:
@@ -190,10 +190,10 @@ def view_object(
     )  # fmt: skip
 
 
-def _ties(rig: Rig, found: Sequence[StereoMatches], *, step: int) -> Ties:
+def _ties(rig: Rig, matches: Sequence[StereoMatches], *, step: int) -> Ties:
     """Tie points from matches, `step` grid steps apart, with a covariance for each camera."""
     pixels, covariance = [], []
-    for one in found:
+    for one in matches:
         cell = np.rint((one.pixel - one.pixel.min(axis=0, initial=np.inf)) / _SETTINGS.step)
         chosen = (cell % step == 0).all(axis=1)
         pixels.append(one.pixels[:, chosen])
@@ -208,10 +208,10 @@ def _ties(rig: Rig, found: Sequence[StereoMatches], *, step: int) -> Ties:
     return Ties(every[:, some], half[:, some])
 
 
-def _registered(rig: Rig, mesh: TriangleMesh, found: StereoMatches) -> tuple[Registration, int]:
+def _registered(rig: Rig, mesh: TriangleMesh, matches: StereoMatches) -> tuple[Registration, int]:
     """Register the points of an instant to the mesh, from the rig's frame or from many rotations;
     also returns their number."""
-    stereo = triangulated_matches(rig, found, settings=_SETTINGS)
+    stereo = triangulated_matches(rig, matches, settings=_SETTINGS)
     points = stereo.point
     if len(points) < MIN_POSE_POINTS:
         raise CalibrationError(
@@ -305,14 +305,14 @@ def write_object_view(folder: Path, view: ObjectView, known: RigCovariance | Non
         known = view.refined.known
     if known is not None:
         write_rig_covariance(folder, known)
-    found = view.registration
+    registration = view.registration
     content = {
         "format": POSE_FORMAT,
-        "T_object_rig": found.T_mesh_points,
-        "centre": found.centre,
+        "T_object_rig": registration.T_mesh_points,
+        "centre": registration.centre,
         "covariance": view.covariance,
         "points": view.points,
-        "residual": found.residual,
+        "residual": registration.residual,
         "refined": None if view.refined is None else view.refined.better,
     }
     write_text(folder / "object_pose.json", json_text(content))

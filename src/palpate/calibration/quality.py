@@ -95,7 +95,7 @@ def _quality(calibration: Calibration, c: int) -> CameraQuality:
     adjusted, corners = calibration.adjusted, calibration.corners
     mine = corners.camera == c
     good = mine & adjusted.good
-    size = np.array(calibration.found.sizes[c])
+    size = np.array(calibration.sightings.sizes[c])
     cell = np.clip(REGIONS * corners.pixel[good] / size, 0, REGIONS - 1e-9).astype(np.int64)
     number = REGIONS * cell[:, 1] + cell[:, 0]
     seen = np.bincount(number, minlength=REGIONS**2)
@@ -156,17 +156,17 @@ def picture_errors(calibration: Calibration) -> tuple[PictureError, ...]:
     """
     corners, good = calibration.corners, calibration.adjusted.good
     square = (calibration.adjusted.residual**2).sum(axis=1)
-    found = []
+    errors = []
     for c, camera in enumerate(calibration.cameras):
-        for v, view in enumerate(calibration.found.views):
+        for v, view in enumerate(calibration.sightings.views):
             mine = (corners.camera == c) & (corners.view == v)
             if not mine.any():
                 continue
             kept = mine & good
             rms = float(np.sqrt(square[kept].mean())) if kept.any() else np.nan
             rejected = int(mine.sum() - kept.sum())
-            found.append(PictureError(camera.name, view, int(mine.sum()), rejected, rms))
-    return tuple(found)
+            errors.append(PictureError(camera.name, view, int(mine.sum()), rejected, rms))
+    return tuple(errors)
 
 
 def length_check(calibration: Calibration) -> tuple[int, float, float] | None:
@@ -186,7 +186,7 @@ def length_check(calibration: Calibration) -> tuple[int, float, float] | None:
                                     held-out ones that two cameras share; None, too, if the
                                     calibration of the others fails
     """
-    corners, views = calibration.corners, len(calibration.found.views)
+    corners, views = calibration.corners, len(calibration.sightings.views)
     held = np.arange(views) % _FOLD == 0
     if len(calibration.cameras) < 2 or views < 3 * _FOLD:
         return None
@@ -195,7 +195,7 @@ def length_check(calibration: Calibration) -> tuple[int, float, float] | None:
         adjusted = adjust(bundle, rest)
     except CalibrationError:
         return None
-    rig = Rig(cameras_of(calibration.found, adjusted.bundle), 0, "calibration")
+    rig = Rig(cameras_of(calibration.sightings, adjusted.bundle), 0, "calibration")
     good = calibration.adjusted.good
     scales = [_scale(rig, corners.chosen(good & (corners.view == v))) for v in np.flatnonzero(held)]
     known = np.array([scale for scale in scales if scale is not None])
@@ -214,12 +214,14 @@ def _scale(rig: Rig, corners: Corners) -> float | None:
     points, number = np.unique(corners.point, axis=0, return_inverse=True)
     pixels = np.full((len(rig.cameras), len(points), 2), np.nan)
     pixels[corners.camera, number.ravel()] = corners.pixel
-    found = triangulate(rig, pixels, 1.0).point
-    seen = np.isfinite(found[:, 0])
+    corner_points = triangulate(rig, pixels, 1.0).point
+    seen = np.isfinite(corner_points[:, 0])
     if seen.sum() < _MIN_CORNERS:
         return None
     true = points[seen] - points[seen].mean(axis=0)
-    return float(np.linalg.svd(true.T @ found[seen], compute_uv=False).sum() / (true**2).sum())
+    return float(
+        np.linalg.svd(true.T @ corner_points[seen], compute_uv=False).sum() / (true**2).sum()
+    )
 
 
 def length_sigma(calibration: Calibration) -> float:
@@ -273,12 +275,12 @@ def baseline_text(calibration: Calibration, baseline: float) -> str:
     if len(calibration.cameras) < 2:
         raise CalibrationError("a baseline is between two cameras; this calibration has one")
     first, second = calibration.cameras[:2]
-    found = float(np.linalg.norm(second.T_camera_object[:3, 3]))
+    calibrated = float(np.linalg.norm(second.T_camera_object[:3, 3]))
     text = (
-        f"'{first.name}' and '{second.name}' are {1e3 * found:.2f} mm apart by the boards and"
+        f"'{first.name}' and '{second.name}' are {1e3 * calibrated:.2f} mm apart by the boards and"
         f" {1e3 * baseline:.2f} mm as was measured"
     )
-    ratio = baseline / found
+    ratio = baseline / calibrated
     if abs(ratio - 1.0) > _MAX_BASELINE_ERROR:
         raise CalibrationError(
             f"{text}: the board has another size than was said, by a factor of {ratio:.3f}; measure"
@@ -298,7 +300,7 @@ def timing_note(calibration: Calibration) -> str:
     -------
     str                             cause and remedy; empty if they do not
     """
-    names, sizes = calibration.found.cameras, calibration.found.sizes
+    names, sizes = calibration.sightings.cameras, calibration.sightings.sizes
     corners = calibration.corners
     late = corners.pixel / np.array(sizes, dtype=np.float64)[corners.camera] - 0.5
     by_column, by_row = (explained_by_velocity(calibration, late[:, k]) for k in range(2))

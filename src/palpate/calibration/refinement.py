@@ -139,10 +139,10 @@ class KnownSurface:
         ties, mesh = self.ties, self.mesh
         offset, centre = self._offsets(rig)
         place = centre + offset / (1.0 + self.relative_size)
-        found = closest_points(mesh, place)
-        normal = unit_normals(TriangleMesh(mesh.vertices, mesh.triangles[found.triangle]))
-        gap = np.einsum("na,na->n", normal, place - found.position)
-        inside = (found.barycentric > 0.0).all(axis=1)
+        closest = closest_points(mesh, place)
+        normal = unit_normals(TriangleMesh(mesh.vertices, mesh.triangles[closest.triangle]))
+        gap = np.einsum("na,na->n", normal, place - closest.position)
+        inside = (closest.barycentric > 0.0).all(axis=1)
         noise = STD_OVER_MEDIAN * float(np.median(np.abs(gap[inside])))
         _, shift = _jacobians(rig, prior, scale, ties)
         rows = np.concatenate(

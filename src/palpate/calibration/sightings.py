@@ -85,19 +85,19 @@ def find_pictures(place: Path) -> dict[str, dict[str, Path]]:
     if not place.is_dir():
         raise RecordError(f"{place}: no such folder; give one that has a folder for every camera")
     folders = [path for path in sorted(place.iterdir()) if path.is_dir()]
-    found: dict[str, dict[str, Path]] = {}
+    by_instant: dict[str, dict[str, Path]] = {}
     for folder in folders or [place]:
         files = sorted(folder.iterdir())
         pictures = [path for path in files if path.suffix.lower() in PICTURE_SUFFIXES]
         # An empty hidden folder is some program's, not a camera's.
         if pictures or not folder.name.startswith("."):
-            found[folder.name] = {_instant(path.stem, folder.name): path for path in pictures}
-    if not any(found.values()):
+            by_instant[folder.name] = {_instant(path.stem, folder.name): path for path in pictures}
+    if not any(by_instant.values()):
         raise RecordError(
             f"{place}: has no pictures ({', '.join(PICTURE_SUFFIXES)}), neither itself nor in the"
             " folders within it; expected is a folder for every camera"
         )
-    return found
+    return by_instant
 
 
 def _instant(stem: str, camera: str) -> str:
@@ -144,8 +144,10 @@ def find_boards(
     sizes = _sizes(jobs, [size for size, _, _ in results])
     blurred = _blurred(jobs, [seen for _, seen, _ in results], [width for _, _, width in results])
     sharp = [(*jobs[k], results[k][1]) for k in range(len(jobs)) if k not in blurred]
-    found = gathered([name for name, by in pictures.items() if by], sizes, sharp, targets)
-    return replace(found, notes=(*_without_pictures(pictures), *blurred.values(), *found.notes))
+    sightings = gathered([name for name, by in pictures.items() if by], sizes, sharp, targets)
+    return replace(
+        sightings, notes=(*_without_pictures(pictures), *blurred.values(), *sightings.notes)
+    )
 
 
 def _without_pictures(pictures: Mapping[str, Mapping[str, Path]]) -> list[str]:
@@ -165,7 +167,7 @@ def _edge_width(grey: UInt8[np.ndarray, "rows columns"], seen: Sequence[Sighting
     picture. All directions are tested, since motion blur leaves edges along the motion sharp. The
     picture is smoothed first, against noise, so that no edge is narrower than 2.5 px.
     """
-    pixel = np.concatenate([found.pixel for found in seen])
+    pixel = np.concatenate([sighting.pixel for sighting in seen])
     part = grey
     if len(pixel) >= _MIN_MARKS:
         low, high = np.maximum(pixel.min(axis=0), 0.0), pixel.max(axis=0) + 1.0
@@ -192,17 +194,17 @@ def _blurred(
     for (camera, _, _), width in zip(jobs, widths, strict=True):
         of_camera.setdefault(camera, []).append(width)
     usual = {camera: float(np.median(each)) for camera, each in of_camera.items()}
-    found = {}
+    blurred = {}
     for k, ((camera, _, path), boards, width) in enumerate(zip(jobs, seen, widths, strict=True)):
         if width <= _BLURRED * usual[camera]:
             continue
         # Without a board found there may be none: such a picture may have no sharp edges either.
         what = "blurred" if any(len(one.mark) for one in boards) else "no board found, or blurred"
-        found[k] = (
+        blurred[k] = (
             f"{path}: {what}: its edges are {width:.1f} px wide and those of '{camera}' usually"
             f" {usual[camera]:.1f}; left out: did the board move?"
         )
-    return found
+    return blurred
 
 
 def eight_bits(grey: Float[np.ndarray, "rows columns"]) -> UInt8[np.ndarray, "rows columns"]:
@@ -221,14 +223,14 @@ def eight_bits(grey: Float[np.ndarray, "rows columns"]) -> UInt8[np.ndarray, "ro
 
 def _sizes(jobs: Sequence[_Job], sizes: Sequence[tuple[int, int]]) -> dict[str, tuple[int, int]]:
     """Size (columns, rows) of every camera's pictures; raises if they differ."""
-    found: dict[str, tuple[int, int]] = {}
+    size_of: dict[str, tuple[int, int]] = {}
     for (camera, _, path), size in zip(jobs, sizes, strict=True):
-        if found.setdefault(camera, size) != size:
+        if size_of.setdefault(camera, size) != size:
             raise CalibrationError(
                 f"{path}: has {size[0]} x {size[1]} pixels, pictures of camera '{camera}' before it"
-                f" {found[camera][0]} x {found[camera][1]}; a calibration holds for one size"
+                f" {size_of[camera][0]} x {size_of[camera][1]}; a calibration holds for one size"
             )
-    return found
+    return size_of
 
 
 def gathered(
@@ -257,16 +259,16 @@ def gathered(
     views: dict[tuple[str, int], int] = {}
     parts, notes = [], []
     for camera, instant, path, boards in pictures:
-        count = max((len(found.mark) for found in boards), default=0)
+        count = max((len(board.mark) for board in boards), default=0)
         if count < _MIN_MARKS:
             what = f"{count} marks of a board" if count else "no board"
             notes.append(f"{path}: {what} found; left out")
-        for k, found in enumerate(boards):
-            if len(found.mark) < _MIN_MARKS:
+        for k, board in enumerate(boards):
+            if len(board.mark) < _MIN_MARKS:
                 continue
             view = views.setdefault((instant, k), len(views))
-            numbers = np.tile([cameras.index(camera), view], (len(found.mark), 1))
-            parts.append((numbers, targets[k].points[found.mark], found.pixel, found.mark))
+            numbers = np.tile([cameras.index(camera), view], (len(board.mark), 1))
+            parts.append((numbers, targets[k].points[board.mark], board.pixel, board.mark))
     if not parts:
         raise CalibrationError(
             f"no board was found in any of {len(pictures)} pictures; is it the target that was"
@@ -305,17 +307,17 @@ def find_videos(place: Path) -> dict[str, Path]:
     """
     if not place.is_dir():
         raise RecordError(f"{place}: no such folder; give one that has a folder for every camera")
-    found: dict[str, Path] = {}
+    videos: dict[str, Path] = {}
     for path in sorted([*place.iterdir(), *place.glob("*/*")]):
         if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
             camera = path.stem if path.parent == place else path.parent.name
-            if camera in found:
+            if camera in videos:
                 raise RecordError(
-                    f"{path}: is a second video of camera '{camera}', beside {found[camera].name};"
+                    f"{path}: is a second video of camera '{camera}', beside {videos[camera].name};"
                     " give one video a camera"
                 )
-            found[camera] = path
-    return found
+            videos[camera] = path
+    return videos
 
 
 def still_frames(
@@ -395,14 +397,14 @@ def _written(video: Path, chosen: list[int], folder: Path) -> dict[str, Path]:
     return files
 
 
-def without_repeats(found: Sightings, *, news: float = _NEWS) -> Sightings:
+def without_repeats(sightings: Sightings, *, news: float = _NEWS) -> Sightings:
     """Drop views in which the board is where it was in an earlier one.
 
     Otherwise a board that is held still for long would be counted many times.
 
     Parameters
     ----------
-    found : Sightings
+    sightings : Sightings
     news : float                    a board that moved by more is at another place, over the width
                                     of the pictures
 
@@ -410,31 +412,32 @@ def without_repeats(found: Sightings, *, news: float = _NEWS) -> Sightings:
     -------
     Sightings                       with a note on how many were dropped
     """
-    corners, keep = found.corners, []
+    corners, keep = sightings.corners, []
     kept: list[dict[tuple[int, int], np.ndarray]] = []
-    for v in range(len(found.views)):
+    for v in range(len(sightings.views)):
         rows = np.flatnonzero(corners.view == v)
         seen = {
-            (int(corners.camera[r]), int(found.mark[r])): corners.pixel[r] for r in rows.tolist()
+            (int(corners.camera[r]), int(sightings.mark[r])): corners.pixel[r]
+            for r in rows.tolist()
         }
-        if not any(_same(seen, other, found.sizes, news) for other in kept):
+        if not any(_same(seen, other, sightings.sizes, news) for other in kept):
             keep.append(v)
             kept.append(seen)
-    dropped = len(found.views) - len(keep)
+    dropped = len(sightings.views) - len(keep)
     if dropped == 0:
-        return found
-    stays = np.isin(np.arange(len(found.views)), keep)
+        return sightings
+    stays = np.isin(np.arange(len(sightings.views)), keep)
     rows = stays[corners.view]
     number = np.cumsum(stays) - 1
     remaining = corners.chosen(rows)
-    note = f"{dropped} of {len(found.views)} frames show the board where another does; left out"
+    note = f"{dropped} of {len(sightings.views)} frames show the board where another does; left out"
     return replace(
-        found,
-        views=tuple(found.views[v] for v in keep),
-        targets=tuple(found.targets[v] for v in keep),
+        sightings,
+        views=tuple(sightings.views[v] for v in keep),
+        targets=tuple(sightings.targets[v] for v in keep),
         corners=replace(remaining, view=number[remaining.view]),
-        mark=found.mark[rows],
-        notes=(*found.notes, note),
+        mark=sightings.mark[rows],
+        notes=(*sightings.notes, note),
     )
 
 

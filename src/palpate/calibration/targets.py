@@ -118,11 +118,11 @@ class Chessboard:
         """See `Target`; all corners or none."""
         small, scale = _shrunk(picture)
         size, flags = (self.columns, self.rows), cv2.CALIB_CB_NORMALIZE_IMAGE
-        found, pixel = cv2.findChessboardCornersSB(small, size, flags=flags)
-        if not found:
+        complete, pixel = cv2.findChessboardCornersSB(small, size, flags=flags)
+        if not complete:
             flags |= cv2.CALIB_CB_EXHAUSTIVE
-            found, pixel = cv2.findChessboardCornersSB(small, size, flags=flags)
-        seen = _whole(found, pixel)
+            complete, pixel = cv2.findChessboardCornersSB(small, size, flags=flags)
+        seen = _whole(complete, pixel)
         if len(seen.mark) == 0:
             return seen
         # The detector is accurate to 1/3 px, the saddle point of the grey levels to 1/30 px.
@@ -174,8 +174,8 @@ class Circles:
     def find(self, picture: Grey) -> Sighting:
         """See `Target`; all circles or none."""
         kind = cv2.CALIB_CB_ASYMMETRIC_GRID if self.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
-        found, pixel = cv2.findCirclesGrid(picture, (self.columns, self.rows), flags=kind)
-        seen = _whole(found, pixel)
+        complete, pixel = cv2.findCirclesGrid(picture, (self.columns, self.rows), flags=kind)
+        seen = _whole(complete, pixel)
         if not (self.asymmetric and self.rows % 2 == 0 and len(seen.mark)):
             return seen
         # With an even number of rows, OpenCV swaps them in pairs: second, first, fourth, third, ...
@@ -382,9 +382,9 @@ def _check_numbers(first: int, count: int, dictionary: str) -> None:
         )
 
 
-def _whole(found: bool, pixel: np.ndarray | None) -> Sighting:
+def _whole(complete: bool, pixel: np.ndarray | None) -> Sighting:
     """Sighting of all marks of a target, or of none."""
-    if not found or pixel is None:
+    if not complete or pixel is None:
         return _NOTHING
     pixel = pixel.reshape(-1, 2).astype(np.float64)
     return Sighting(np.arange(len(pixel)), pixel)

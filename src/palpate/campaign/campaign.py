@@ -85,7 +85,7 @@ def run_campaign(
     # The lock on the table file is the lock on the whole campaign.
     with (
         created_folder(folder),
-        atomic_replacement([folder / TABLE_TEXT]) as (staged,),
+        atomic_replacement(folder / TABLE_TEXT) as staged,
         ExitStack() as stack,
     ):
         stack.callback(store.clear)
@@ -174,8 +174,8 @@ class _Run:
     def _submit_fit(self, fit: Work, motions: Sequence[Work], mesh: str) -> None:
         """Submit a fit, after its body and those of its motions that are not known yet."""
         keys = {name: key for work in motions for name, key in work.keys.items()}
-        found = {key: self.store.motion(key) for key in keys.values()}
-        known = {key: motion for key, motion in found.items() if motion is not None}
+        stored = {key: self.store.motion(key) for key in keys.values()}
+        known = {key: motion for key, motion in stored.items() if motion is not None}
         before = []
         if self.cache is not None and mesh:
             before.append(body_work(fit.session, self.options, mesh))
@@ -198,17 +198,17 @@ class _Run:
         self._works[future] = work
         return future
 
-    def _store_outcome(self, work: Work, found: Outcome | PalpateError) -> None:
+    def _store_outcome(self, work: Work, outcome: Outcome | PalpateError) -> None:
         """Store what a piece of work gave; where a motion failed, so did the fits after it."""
         if work.kind == "fit":
-            if isinstance(found, Outcome):
-                self.store.save_result(work, found.files)
+            if isinstance(outcome, Outcome):
+                self.store.save_result(work, outcome.files)
             for item in self._items_of.pop(work.digest):
-                self.store.set_row(self.store.row_of(item, work, found))
+                self.store.set_row(self.store.row_of(item, work, outcome))
         elif work.kind == "motion":
             del self._before[work.digest]
-            if isinstance(found, Outcome):
-                for key, motion in found.files.items():
+            if isinstance(outcome, Outcome):
+                for key, motion in outcome.files.items():
                     self.store.save_motion(key, motion)
         else:
             self._before[work.digest] = None

@@ -401,10 +401,10 @@ def _check_workers(client: Any, address: str) -> None:
             f"the scheduler at {address} has no workers after {_FIRST_WORKER_TIMEOUT} s; start some"
             f" with `dask worker {address} --nworkers auto --nthreads 1`"
         ) from error
-    found = client.get_versions(check=False, packages=["palpate"])
-    ours = found["client"]["packages"]
-    others = {f"the scheduler at {address}": found["scheduler"]} | {
-        f"the worker at {name}": info for name, info in found["workers"].items()
+    versions = client.get_versions(check=False, packages=["palpate"])
+    ours = versions["client"]["packages"]
+    others = {f"the scheduler at {address}": versions["scheduler"]} | {
+        f"the worker at {name}": info for name, info in versions["workers"].items()
     }
     for who, info in others.items():
         theirs = info["packages"] if info else {}

@@ -87,13 +87,13 @@ def constants_of(estimate: Estimate) -> dict[str, float | None]:
     -------
     dict                            value, `_low` and `_high` of every constant; None if unknown
     """
-    found: dict[str, float | None] = {}
+    constants: dict[str, float | None] = {}
     for name in CONSTANT_NAMES:
         constant = getattr(estimate, name)
         known = estimate.identifiable[name]
-        found[name] = _finite(constant.value) if known else None
-        found[f"{name}_low"], found[f"{name}_high"] = map(_finite, constant.ci95)
-    return found
+        constants[name] = _finite(constant.value) if known else None
+        constants[f"{name}_low"], constants[f"{name}_high"] = map(_finite, constant.ci95)
+    return constants
 
 
 def outliers(rows: Sequence[Row]) -> dict[str, tuple[str, ...]]:
@@ -113,15 +113,15 @@ def outliers(rows: Sequence[Row]) -> dict[str, tuple[str, ...]]:
     ------
     Iglewicz and Hoaglin (1993), How to detect and handle outliers, section 3.3
     """
-    found: dict[str, list[str]] = {}
+    outlying: dict[str, list[str]] = {}
     for group in groups_of(rows):
         for name in ("young_modulus", "poisson_ratio"):
             complete = [row for row in rows if row.group == group and _is_complete(row, name)]
             if len(complete) >= _MIN_GROUP_SIZE:
                 for row, is_outlier in zip(complete, _are_outliers(complete, name), strict=True):
                     if is_outlier:
-                        found.setdefault(row.session, []).append(name)
-    return {session: tuple(names) for session, names in found.items()}
+                        outlying.setdefault(row.session, []).append(name)
+    return {session: tuple(names) for session, names in outlying.items()}
 
 
 def groups_of(rows: Sequence[Row]) -> tuple[str, ...]:

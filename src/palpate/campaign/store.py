@@ -234,7 +234,7 @@ class Store:
             write_text(folder / INPUTS_FILE, sums_text(relative_sums))
 
     def row_of(
-        self, item: CampaignItem, work: Work | None, found: Outcome | PalpateError | None
+        self, item: CampaignItem, work: Work | None, outcome: Outcome | PalpateError | None
     ) -> Row:
         """The row of a session whose fit has ended.
 
@@ -242,7 +242,7 @@ class Store:
         ----------
         item : CampaignItem
         work : Work or None         None: the session could not be read
-        found : Outcome, error or None      None: an earlier run completed it
+        outcome : Outcome, error or None      None: an earlier run completed it
 
         Returns
         -------
@@ -254,11 +254,11 @@ class Store:
         """
         row = Row(
             item.name, item.group, address=work.digest if work else "",
-            seconds=found.seconds if isinstance(found, Outcome) else None,
+            seconds=outcome.seconds if isinstance(outcome, Outcome) else None,
             finished=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         )  # fmt: skip
-        if work is None or isinstance(found, PalpateError):
-            return replace(row, state="failed", message=str(found))
+        if work is None or isinstance(outcome, PalpateError):
+            return replace(row, state="failed", message=str(outcome))
         estimate = read_estimate(self.result(work) / ESTIMATE_FILE)
         constants: dict[str, Any] = constants_of(estimate)
         notes = " ".join(estimate.notes)
@@ -319,14 +319,14 @@ def read_items(source: Path) -> tuple[CampaignItem, ...]:
     RecordError                     missing, without sessions, an invalid path
     InputError                      a session that occurs twice in the list
     """
-    found = tuple(_in_folder(source) if source.is_dir() else _in_list(source))
-    if not found:
+    items = tuple(_in_folder(source) if source.is_dir() else _in_list(source))
+    if not items:
         what = f"no {_SESSION_FILE} anywhere below it" if source.is_dir() else "names no session"
         raise RecordError(
             f"{source}: {what}; give a folder that holds sessions, or a text file with a path a"
             " line"
         )
-    return found
+    return items
 
 
 def _in_folder(folder: Path) -> Iterator[CampaignItem]:

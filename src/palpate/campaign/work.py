@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Literal
 
 from palpate.bem import check_memory
+from palpate.checkpoints import content_digest
 from palpate.errors import PalpateError
 from palpate.estimation import FitSettings
 from palpate.files import read_bytes
-from palpate.parts import content_digest
 from palpate.pipeline import (
     MOTION_FILE,
     PoseChoice,

@@ -253,10 +253,10 @@ def solve_once(response, given, frames, friction, free, residual, force, status,
                 prescribed[i, a] = -free[i, a]
     m = node.size
     apply_response(response, given, free, prescribed, force, residual)
-    matrix, found, part = np.empty((m, m)), np.empty(m), np.empty(len(response))
+    matrix, solution, part = np.empty((m, m)), np.empty(m), np.empty(len(response))
     for g in range(m):
         j, seen = node[g], residual if given[node[g]] == BY_FORCE else force
-        found[g] = -dot(row[g], seen[j])
+        solution[g] = -dot(row[g], seen[j])
         part[:] = 0.0
         first, second, third = response[3 * j], response[3 * j + 1], response[3 * j + 2]
         for i in range(part.size):
@@ -267,11 +267,11 @@ def solve_once(response, given, frames, friction, free, residual, force, status,
                 along[h, 0] * part[i] + along[h, 1] * part[i + 1] + along[h, 2] * part[i + 2]
             )
         matrix[g, g] += extra[g]
-    if not solve(matrix, found):
+    if not solve(matrix, solution):
         return False
     for g in range(m):
         for a in range(3):
-            prescribed[node[g], a] += found[g] * along[g, a]
+            prescribed[node[g], a] += solution[g] * along[g, a]
     apply_response(response, given, free, prescribed, force, residual)
     return True
 
@@ -286,19 +286,19 @@ def solve_together(response, given, frames, friction, free, residual, force, sta
     """
     if friction.size == 0:
         return True
-    found, after, own, depth = force.copy(), residual.copy(), status.copy(), 0.0
+    forces, after, own, depth = force.copy(), residual.copy(), status.copy(), 0.0
     pull = np.empty(friction.size)
     for i in range(friction.size):
         depth = max(depth, abs(dot(free[i], frames[i, 0])))
     for _ in range(_CHANGES):
-        slide_directions(frames, friction, after, found, own, slide)
+        slide_directions(frames, friction, after, forces, own, slide)
         for i in range(friction.size):
-            pull[i] = friction[i] * dot(found[i], frames[i, 0])
-        if not solve_once(response, given, frames, friction, free, after, found, own, slide):
+            pull[i] = friction[i] * dot(forces[i], frames[i, 0])
+        if not solve_once(response, given, frames, friction, free, after, forces, own, slide):
             return False
-        turn_friction(frames, friction, pull, found, own, slide)
-        if not contradicted(frames, friction, after, found, own, slide, depth):
-            assign(found, force)
+        turn_friction(frames, friction, pull, forces, own, slide)
+        if not contradicted(frames, friction, after, forces, own, slide, depth):
+            assign(forces, force)
             assign(after, residual)
             assign(own, status)
             return True

@@ -168,15 +168,15 @@ def _reversed(minimum: Evaluation) -> list[Contradiction]:
     group = np.concatenate([probe.group for probe in probes]) % FIRST_CLAIMED
     measured = np.concatenate([probe.measured for probe in probes])
     residual = np.concatenate(minimum.residual)
-    overall, found = float(np.sqrt((measured**2).mean())), []
+    overall, suspects = float(np.sqrt((measured**2).mean())), []
     for index in np.unique(group):
         chosen = group == index
         left, motion = (float(np.sqrt((x[chosen] ** 2).mean())) for x in (residual, measured))
         is_large = left > _LEAST_FRACTION_OF_ALL * overall
         if is_large and chosen.sum() >= _LEAST_ROWS and left > _REVERSED_FACTOR * motion:
             size = left / max(motion, FINEST * overall)
-            found.append(Contradiction("reversed", size, GROUP_NAMES[index]))
-    return found
+            suspects.append(Contradiction("reversed", size, GROUP_NAMES[index]))
+    return suspects
 
 
 def _impossible_families(minimum: Evaluation) -> list[Contradiction]:
@@ -186,17 +186,19 @@ def _impossible_families(minimum: Evaluation) -> list[Contradiction]:
     for source, value, std in _errors(minimum):
         # The square of an estimate is on average what the data take of its prior's variance.
         families[source].append((abs(value), 1.0 - std**2))
-    found = []
+    contradictions = []
     for source, family in families.items():
         farthest = max(value for value, _ in family)
         if _chance(family) < _IMPOSSIBLE_FAMILY or farthest > IMPOSSIBLE:
-            found.append(Contradiction("errors", farthest, source))
-    if not found and _chance([each for family in families.values() for each in family]) < (
+            contradictions.append(Contradiction("errors", farthest, source))
+    if not contradictions and _chance([each for family in families.values() for each in family]) < (
         FALSE_ALARM
     ):
         source = min(families, key=lambda name: _chance(families[name]))
-        found = [Contradiction("errors", max(value for value, _ in families[source]), source)]
-    return sorted(found, key=lambda each: -each.sigmas)
+        contradictions = [
+            Contradiction("errors", max(value for value, _ in families[source]), source)
+        ]
+    return sorted(contradictions, key=lambda each: -each.sigmas)
 
 
 def _chance(errors: Sequence[tuple[float, float]]) -> float:
@@ -222,7 +224,7 @@ def _unexplained(minimum: Evaluation) -> list[Contradiction]:
     """Probings whose residuals are alike across the body, or stand out at one place, by more than
     the model's own error: noise is independent from point to point, or shared by neighbours."""
     problem, layout = minimum.problem, minimum.problem.layout
-    found = []
+    contradictions = []
     for probe, block, unknown, residual in zip(
         problem.probes, layout.blocks, problem.unknown, minimum.residual, strict=True
     ):
@@ -245,7 +247,7 @@ def _unexplained(minimum: Evaluation) -> list[Contradiction]:
         if size > (0.0 if problem.scale > _LARGEST_SCALE else _LARGEST_PATTERN * known):
             share = float(np.sqrt(square.mean() / 3.0) / moved)
             landmark = _landmark(probe.observations.landmarks, where, place)
-            found.append(
+            contradictions.append(
                 Contradiction(
                     "unexplained",
                     max(size / known, problem.scale),
@@ -255,7 +257,7 @@ def _unexplained(minimum: Evaluation) -> list[Contradiction]:
                     landmark,
                 )
             )
-    return sorted(found, key=lambda each: -each.share)
+    return sorted(contradictions, key=lambda each: -each.share)
 
 
 def _pattern(

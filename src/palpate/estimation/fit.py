@@ -313,7 +313,7 @@ def _simplex_minimum(
         progress("simplex search", 1.0 - 0.98 ** next(number))
         return at_constants(minimum, float(constants[0]), float(np.exp(constants[1])))
 
-    found = minimize(
+    result = minimize(
         lambda constants: at(constants).value,
         minimum.theta[:2] + _SIMPLEX_SIZE,
         method="Nelder-Mead",
@@ -324,8 +324,8 @@ def _simplex_minimum(
             "maxfev": _MAX_EVALUATIONS,
         },
     )
-    best = at(found.x)
-    return Evaluation(best.problem, best.theta, bool(found.success and minimum.converged))
+    best = at(result.x)
+    return Evaluation(best.problem, best.theta, bool(result.success and minimum.converged))
 
 
 def _posterior(minimum: Evaluation, settings: FitSettings) -> Posterior:
@@ -391,25 +391,26 @@ def _fit_notes(
     return (*notes, *_count_notes(posterior), *_noise_notes(posterior))
 
 
-def _contradiction_note(found: Contradiction) -> str:
-    if found.kind == "reversed":
+def _contradiction_note(contradiction: Contradiction) -> str:
+    if contradiction.kind == "reversed":
         return (
-            f"Along {found.source} the residuals are {found.sigmas:.1f} times what moved there: the"
-            " model contradicts it. Check the signs and the order of the components of force and"
-            " displacement, the rows of the file, and whether the object moved with its support."
+            f"Along {contradiction.source} the residuals are {contradiction.sigmas:.1f} times what"
+            " moved there: the model contradicts it. Check the signs and the order of the"
+            " components of force and displacement, the rows of the file, and whether the object"
+            " moved with its support."
         )
-    if found.kind == "errors":
+    if contradiction.kind == "errors":
         return (
-            f"The {found.source} would have to be off by {found.sigmas:.1f} times what the session"
-            f" allows: either that is wrong or the model is ({_OTHER_SUSPECTS})."
+            f"The {contradiction.source} would have to be off by {contradiction.sigmas:.1f} times"
+            f" what the session allows: either that is wrong or the model is ({_OTHER_SUSPECTS})."
         )
-    near = f"near {found.landmark}, " if found.landmark else ""
-    place = ", ".join(f"{1e3 * x:.1f}" for x in found.place)
+    near = f"near {contradiction.landmark}, " if contradiction.landmark else ""
+    place = ", ".join(f"{1e3 * x:.1f}" for x in contradiction.place)
     return (
-        f"The model leaves {100.0 * found.share:.2g} % of the motion of probing {found.source!r}"
-        f" unexplained, {found.sigmas:.1f} times as much as its mesh accounts for, most of it"
-        f" {near}around ({place}) mm. It may be"
-        f" {_SUSPECTS.get(found.landmark, _OTHER_SUSPECTS)}."
+        f"The model leaves {100.0 * contradiction.share:.2g} % of the motion of probing"
+        f" {contradiction.source!r} unexplained, {contradiction.sigmas:.1f} times as much as its"
+        f" mesh accounts for, most of it {near}around ({place}) mm. It may be"
+        f" {_SUSPECTS.get(contradiction.landmark, _OTHER_SUSPECTS)}."
     )
 
 

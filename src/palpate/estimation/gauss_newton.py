@@ -191,8 +191,8 @@ def _settled(
     """The minimum, with levels that its residuals ask for, and less information by an excess of
     correlation."""
     for _ in range(_MAX_ROUNDS):
-        found = gauss_newton(problem, theta, poisson_range=poisson_range, steps=_STEPS_A_ROUND)
-        theta, before, problem = found.theta, problem, _updated(found, excess)
+        minimum = gauss_newton(problem, theta, poisson_range=poisson_range, steps=_STEPS_A_ROUND)
+        theta, before, problem = minimum.theta, problem, _updated(minimum, excess)
         settled = _is_settled(before, problem)
         if settled:
             break

@@ -235,11 +235,11 @@ def noise_levels(
         chosen = np.isin(group, members)
         if chosen.any():
             least = FINEST**2 * float(measured[chosen].max()) + np.finfo(float).tiny
-            found = _excess_variance(square[chosen], known[chosen], least)
+            excess = _excess_variance(square[chosen], known[chosen], least)
             if members[0] >= FIRST_CLAIMED:
                 chance = _SIGNIFICANT * _MEDIAN_ERROR / np.sqrt(np.count_nonzero(chosen))
-                found = found if found > 1.0 + chance else 1.0
-            level[members] = found
+                excess = excess if excess > 1.0 + chance else 1.0
+            level[members] = excess
     _settle_tip(level, np.bincount(group, minlength=GROUP_COUNT))
     return np.sqrt(level)
 

@@ -278,10 +278,10 @@ def _solved(matrix: np.ndarray, right: np.ndarray, free: np.ndarray) -> Float[np
     scale = diagonal_root(part)
     part, right = part / np.outer(scale, scale), right[free] / scale
     # Twenty times as fast as least squares, which singular matrices need.
-    *_, found, condition, _, _, _ = dposvx(part, right)
+    *_, scaled, condition, _, _, _ = dposvx(part, right)
     if not condition > _SINGULAR:
-        found = np.linalg.lstsq(part, right, rcond=_SINGULAR)[0]
-    solution[free] = found.ravel() / scale
+        scaled = np.linalg.lstsq(part, right, rcond=_SINGULAR)[0]
+    solution[free] = scaled.ravel() / scale
     return solution
 
 

@@ -32,12 +32,12 @@ from scipy.cluster.vq import kmeans2
 from scipy.linalg import block_diag
 from scipy.spatial import cKDTree
 
+from palpate.checkpoints import Cache, Memory, content_digest
 from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
 from palpate.field.field_fit import information_about, log_bayes_factor, make_model, modes_in
 from palpate.field.field_prior import STDS, best_evidence
 from palpate.field.field_responses import FieldExpansion, FieldModel, PushModel, smooth_prior
 from palpate.geometry import TriangleMesh, triangle_areas, unit_normals
-from palpate.parts import Cache, Memory, content_digest
 from palpate.records import Session
 from palpate.solids import GradedBody, GradedStiffness, with_moduli
 
@@ -94,14 +94,14 @@ class Explanation:
         settings : FitSettings
         """
         part, normals, _ = _parts(self.model.body)
-        gone, found = np.zeros(len(normals), dtype=bool), []
+        gone, removed = np.zeros(len(normals), dtype=bool), []
         while gone.sum() < len(gone) - 1:
             one = replace(self, loose=gone[part])
             at = joint_minimum(one._observations(self.model), settings)
-            found.append(replace(one, log_evidence=log_bayes_factor(at, minimum, settings)))
+            removed.append(replace(one, log_evidence=log_bayes_factor(at, minimum, settings)))
             gives = at.theta[modes_in(at)].reshape(2, -1).sum(axis=0)
             gone[np.where(gone, -np.inf, gives).argmax()] = True
-        return max(found, key=lambda each: each.log_evidence)
+        return max(removed, key=lambda each: each.log_evidence)
 
     def _observations(self, model: FieldModel) -> list[ProbeObservations]:
         (expansion,) = _expansions(model, self.poisson_ratio, (self.cause,), self.loose)
@@ -136,7 +136,7 @@ def explanations(
         model: FieldModel = kept[name].under(session, observations)
     else:
         model = kept[name] = make_model(session, observations, elements=_FEW, times=(1, 3))
-    ratio, found = minimum.poisson_ratio, []
+    ratio, candidates = minimum.poisson_ratio, []
     # Pokes, which tell one number each, cannot tell the others.
     causes = tuple(Cause) if isinstance(model, PushModel) else (Cause.PLACE,)
     for cause, expansion in zip(causes, _expansions(model, ratio, causes), strict=True):
@@ -146,8 +146,8 @@ def explanations(
             evidence, std = prior.log_evidence, prior.std
         else:
             evidence, std = best_evidence(*known, STDS)
-        found.append(Explanation(cause, evidence, std, model, ratio))
-    return sorted(found, key=lambda each: -each.log_evidence)
+        candidates.append(Explanation(cause, evidence, std, model, ratio))
+    return sorted(candidates, key=lambda each: -each.log_evidence)
 
 
 def evidence_of_errors(minimum: Evaluation) -> float:
@@ -170,14 +170,14 @@ def evidence_of_errors(minimum: Evaluation) -> float:
     )
     inner = [np.linalg.inv(each)[:n, :n] for each, n in zip(normal.own, own, strict=True)]
     covariance = block_diag(*inner) + back @ normal.covariance @ back.T
-    theta, found = minimum.theta[np.concatenate(places)], 0.0
+    theta, gain = minimum.theta[np.concatenate(places)], 0.0
     for source in set(sources):
         chosen = np.flatnonzero(np.array(sources) == source)
         # Of the posterior, whose prior is normal of unit variance.
         precision = np.linalg.inv(covariance[np.ix_(chosen, chosen)])
         known = precision - np.eye(len(chosen)), precision @ theta[chosen]
-        found = max(found, best_evidence(*known, _FREED)[0] - best_evidence(*known, np.ones(1))[0])
-    return found
+        gain = max(gain, best_evidence(*known, _FREED)[0] - best_evidence(*known, np.ones(1))[0])
+    return gain
 
 
 def _expansions(

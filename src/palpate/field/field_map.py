@@ -108,15 +108,15 @@ class FieldPosterior:
         middle = _weighted_median(log_modulus[known], self.volume[known])
         differs = known & (np.abs(log_modulus - middle) > _SIGNIFICANT * self.std)
         rest = known & ~differs
-        found = []
+        parts = []
         for sign in (1.0, -1.0):
             chosen = differs & (sign * (log_modulus - middle) > 0.0)
             for part in self._connected(chosen):
                 if self.volume[part].sum() > _SMALLEST_PART * self.volume.sum() and rest.any():
-                    found.append(self._part(part, rest))
-        found = [part for part in found if _is_mentioned(part)]
-        found.sort(key=lambda part: -abs(np.log(part.ratio)) * part.size**3)
-        return tuple(found[:_MOST_PARTS])
+                    parts.append(self._part(part, rest))
+        parts = [part for part in parts if _is_mentioned(part)]
+        parts.sort(key=lambda part: -abs(np.log(part.ratio)) * part.size**3)
+        return tuple(parts[:_MOST_PARTS])
 
     def _outermost(self) -> Iterator[StiffPart]:
         """The layer below the free surface that explains most of how the modulus varies with the

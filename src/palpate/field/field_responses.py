@@ -13,6 +13,7 @@ d the difference at the coefficients b0 about which it is expanded, S the deriva
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -310,20 +311,22 @@ class PushModel(FieldModel):
                                     about the observed points
     points : tuple of SeenPoints    of every probing
     near : (k, m) sparse [-]        weights of the elements under each load; rows add up to 1
-    shifts : (3 n, 2 k) float [N]   what loads change by as contacts move (`nodal_shifts`)
+    shifts : callable               gives (3 n, 2 k) float [N]: what loads change by as contacts
+                                    move (`nodal_shifts`); computed when it is first called
     """
 
     corners: Int[np.ndarray, " c"]
     points: tuple[SeenPoints, ...]
     near: csr_array
-    shifts: Float[np.ndarray, "n3 k2"]
+    shifts: Callable[[], Float[np.ndarray, "n3 k2"]]
 
     def under(
         self, session: Session, observations: Sequence[ProbeObservations] = ()
     ) -> "PushModel":
         """See `FieldModel`."""
         seen, load = _seen(self.body, session, observations), nodal_loads(session, self.body.solid)
-        near, shifts = elements_under(self.body.solid, load), nodal_shifts(session, self.body.solid)
+        near = elements_under(self.body.solid, load)
+        shifts = cache(partial(nodal_shifts, session, self.body.solid))
         return PushModel(
             self.body, self.modes, load, session, tuple(observations), *seen, near, shifts
         )
@@ -331,7 +334,7 @@ class PushModel(FieldModel):
     @property
     def every_load(self) -> Float[np.ndarray, "n3 l"]:
         """See `FieldModel`: after the loads, what they change by as contacts move."""
-        return np.concatenate([self.load, self.shifts], axis=1)
+        return np.concatenate([self.load, self.shifts()], axis=1)
 
     @property
     def under_loads(self) -> Float[np.ndarray, "k b"]:
@@ -559,5 +562,5 @@ def push_model(
     """
     body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
     seen, load = _seen(body, session, observations), nodal_loads(session, solid)
-    near, shifts = elements_under(solid, load), nodal_shifts(session, solid)
+    near, shifts = elements_under(solid, load), cache(partial(nodal_shifts, session, solid))
     return PushModel(body, modes_of(body), load, session, tuple(observations), *seen, near, shifts)

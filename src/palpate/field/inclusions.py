@@ -83,8 +83,8 @@ class InclusionFit:
         moved = self.prior.mean[1:] + scale @ minimum.theta[where]
         covariance = scale @ minimum.normal.covariance[np.ix_(where, where)] @ scale.T
         parts = self.about + moved.reshape(-1, _EACH)
-        found = _stiff_parts(parts, np.sqrt(np.diag(covariance)).reshape(-1, _EACH))
-        estimate = replace(self.smooth, log_evidence=self.log_evidence, parts=found)
+        described = _stiff_parts(parts, np.sqrt(np.diag(covariance)).reshape(-1, _EACH))
+        estimate = replace(self.smooth, log_evidence=self.log_evidence, parts=described)
         body = self.expansion.model.body
         points, width = body.points.reshape(-1, 3), _width(self.expansion.model)
         fields = body.means(_fields(parts, points, width))
@@ -96,7 +96,7 @@ def _stiff_parts(
     parts: Float[np.ndarray, "k 5"], std: Float[np.ndarray, "k 5"]
 ) -> tuple[StiffPart, ...]:
     """The parts, the largest effect first."""
-    found = []
+    described = []
     for part, error in zip(parts, std, strict=True):
         x, y, z = (float(each) for each in part[:3])
         low, middle, high = (
@@ -104,8 +104,8 @@ def _stiff_parts(
         )
         size = 2.0 * float(np.exp(part[3]))
         place_std = float(error[:3].max())
-        found.append(StiffPart((x, y, z), size, middle, low, high, place_std=place_std))
-    return tuple(sorted(found, key=lambda each: -abs(np.log(each.ratio)) * each.size**3))
+        described.append(StiffPart((x, y, z), size, middle, low, high, place_std=place_std))
+    return tuple(sorted(described, key=lambda each: -abs(np.log(each.ratio)) * each.size**3))
 
 
 def fit_inclusions(
@@ -128,12 +128,12 @@ def fit_inclusions(
     InclusionFit or None            None: the field has no such parts, or they do not settle; pokes
                                     without pictures tell too little
     """
-    found = [part for part in posterior.parts() if not part.depth]
-    if not found or not isinstance(field.expansion.model, PushModel):
+    starts = [part for part in posterior.parts() if not part.depth]
+    if not starts or not isinstance(field.expansion.model, PushModel):
         return None
     parts = np.array([
         [*part.centre, np.log(0.5 * part.size / _BLURRED), _BLURRED * np.log(part.ratio)]
-        for part in found
+        for part in starts
     ])  # fmt: skip
     model = field.expansion.model
     plain = joint_minimum(observations, settings)

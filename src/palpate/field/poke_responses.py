@@ -172,12 +172,12 @@ def dents(session: Session, modulus: float, poisson_ratio: float) -> Float[np.nd
     -------
     (k,) float [1/m]
     """
-    shear_modulus, found = modulus * (1.0 - poisson_ratio), []
+    shear_modulus, columns = modulus * (1.0 - poisson_ratio), []
     for tool, probing in zip(tools(session), session.probings, strict=True):
         force = float(np.linalg.norm(probing.force))
         depth = dent(tool, force, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
-        found.append(depth * shear_modulus / force)
-    return np.array(found)
+        columns.append(depth * shear_modulus / force)
+    return np.array(columns)
 
 
 def growths(session: Session) -> Float[np.ndarray, " k"]:
@@ -192,8 +192,8 @@ def tools(session: Session) -> list[Sphere | FlatFace]:
     ----------
     session : Session               `without_pictures`
     """
-    found = [each.contact.tool for each in session.probings]
-    return [tool for tool in found if isinstance(tool, Sphere | FlatFace)]
+    contact_tools = [each.contact.tool for each in session.probings]
+    return [tool for tool in contact_tools if isinstance(tool, Sphere | FlatFace)]
 
 
 def make_poke_model(

@@ -105,7 +105,7 @@ class RegionFit:
         shift = np.array([0.0, minimum.theta[1], minimum.theta[1] + young])
         above = np.zeros((3, len(covariance)))
         above[1:, 1], above[2, 0] = 1.0, 1.0 / (1.0 + ratio)
-        found = []
+        estimates = []
         for k, (region, own) in enumerate(zip(self.regions, modes_in(minimum), strict=True)):
             rows = direction[k] + above
             stds = np.sqrt(np.einsum("ij,jk,ik->i", rows, covariance, rows))
@@ -113,12 +113,12 @@ class RegionFit:
             is_seen = bool(region.known or covariance[own, own] < _UNSEEN**2)
             low, high = shear.ci95
             determined = high < _MAX_FACTOR * low
-            found.append(
+            estimates.append(
                 RegionEstimate(
                     region.name, of_rest, shear, its_young, region.known, determined, is_seen
                 )
             )
-        return tuple(found)
+        return tuple(estimates)
 
     def map(self, minimum: Evaluation) -> ModulusMap:
         """The modulus of every element over that of the rest.
@@ -193,12 +193,12 @@ def fit_regions(
 
     plain = joint_minimum(observations, settings)
     prior = _prior(session.regions, plain.poisson_ratio, plain.shear_modulus)
-    expansion, found = expanded_about_best(
+    expansion, explained = expanded_about_best(
         model, Fitted(plain, prior.mean, prior), fitted, tolerance=_TOLERANCE,
         what="the modulus of a region", progress=progress,
     )  # fmt: skip
-    observed = _with_cut_elements(expansion, found.prior)
-    return RegionFit(session.regions, expansion, found.prior, observed)
+    observed = _with_cut_elements(expansion, explained.prior)
+    return RegionFit(session.regions, expansion, explained.prior, observed)
 
 
 def _with_cut_elements(
@@ -206,7 +206,7 @@ def _with_cut_elements(
 ) -> list[ProbeObservations]:
     """Observations with the error of elements that a region's boundary cuts: half of the step from
     one modulus in each of them, the geometric mean, to one at each of its quadrature points."""
-    model, found = cast(PushModel, expansion.model), expansion.observations(prior)
+    model, observations = cast(PushModel, expansion.model), expansion.observations(prior)
     body, ratio = model.body, expansion.poisson_ratio
     log_modulus = model.modes.modes @ expansion.coefficients
     coarser = body.constant @ body.means(log_modulus[:, None])[:, 0]
@@ -215,7 +215,7 @@ def _with_cut_elements(
     parameter = NuisanceParameter("elements that regions cut", 1.0, is_model_error=True)
     return [
         _with_change(probe, parameter, points.from_nodes @ step[:, k])
-        for k, (probe, points) in enumerate(zip(found, model.points, strict=True))
+        for k, (probe, points) in enumerate(zip(observations, model.points, strict=True))
     ]
 
 
@@ -313,8 +313,8 @@ def _separate_points(mesh: TriangleMesh, regions: Sequence[Region]) -> list[Poin
     """Evenly spaced points in each region, in which no other is."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     _check_thickness(mesh, regions)
-    found = [_points_in(region, mesh) for region in regions]
-    for k, (region, points) in enumerate(zip(regions, found, strict=True)):
+    inside = [_points_in(region, mesh) for region in regions]
+    for k, (region, points) in enumerate(zip(regions, inside, strict=True)):
         if not len(points):
             ends = (", ".join(f"{x:.3g}" for x in corner + 0.0) for corner in (low, high))
             raise InputError(
@@ -330,13 +330,13 @@ def _separate_points(mesh: TriangleMesh, regions: Sequence[Region]) -> list[Poin
         _size_in(region, points, mesh)
     volume = sum(
         len(points) * _step(region, mesh) ** 3
-        for region, points in zip(regions, found, strict=True)
+        for region, points in zip(regions, inside, strict=True)
     )
     if volume > _MOST_OF_ALL * enclosed_volume(mesh):
         raise InputError(
             "the regions fill the whole object; leave one of them out: G is the modulus of the rest"
         )
-    return found
+    return inside
 
 
 def _points_in(region: Region, mesh: TriangleMesh) -> Points:

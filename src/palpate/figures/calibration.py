@@ -75,7 +75,7 @@ def residual_figure(calibration: Calibration) -> Figure:
     Figure                          for each camera a column of two panels
     """
     cameras = calibration.cameras
-    ratio = max(rows / columns for columns, rows in calibration.found.sizes)
+    ratio = max(rows / columns for columns, rows in calibration.sightings.sizes)
     heights = _WIDTH * ratio, _VIEWS_HEIGHT
     figure = Figure(figsize=(_WIDTH * len(cameras), sum(heights) + 0.85), layout="constrained")
     grid = figure.add_gridspec(2, len(cameras), height_ratios=heights)
@@ -96,7 +96,7 @@ def residual_figure(calibration: Calibration) -> Figure:
 def _draw_corners(axes: Axes, calibration: Calibration, c: int, quality: CameraQuality) -> None:
     """Draw a camera's residuals as arrows, and the rms of each of its nine regions."""
     corners = calibration.corners
-    columns, rows = calibration.found.sizes[c]
+    columns, rows = calibration.sightings.sizes[c]
     for good, colour in ((True, BLUE), (False, ORANGE)):
         mine = np.flatnonzero((corners.camera == c) & (calibration.adjusted.good == good))
         mine = mine[:: len(mine) // _MAX_ARROWS + 1]
@@ -329,24 +329,24 @@ def save_page(figure: Figure, path: Path, *, kind: str) -> None:
 
 
 @styled
-def recording_figure(found: Recorded, name: str) -> Figure:
+def recording_figure(recorded: Recorded, name: str) -> Figure:
     """Force and motion over the whole recording, with plateaus and moments at rest.
 
     Parameters
     ----------
-    found : Recorded
+    recorded : Recorded
     name : str                      of the session, for the heading
 
     Returns
     -------
     Figure
     """
-    rows = 1 + len(found.motions)
-    figure = Figure(figsize=(8.4, 2.3 + 0.85 * len(found.motions)), layout="constrained")
+    rows = 1 + len(recorded.motions)
+    figure = Figure(figsize=(8.4, 2.3 + 0.85 * len(recorded.motions)), layout="constrained")
     axes = figure.subplots(rows, 1, sharex=True, height_ratios=[2.2, *[1.0] * (rows - 1)])
     axes = np.atleast_1d(axes)
-    _draw_force(axes[0], found)
-    for panel, motion, clock in zip(axes[1:], found.motions, found.clocks, strict=True):
+    _draw_force(axes[0], recorded)
+    for panel, motion, clock in zip(axes[1:], recorded.motions, recorded.clocks, strict=True):
         time = motion.time + clock.offset
         every = max(1, len(time) // _POINTS)
         panel.plot(time[::every], motion.change[::every], color=BLUE, linewidth=0.7)
@@ -360,37 +360,37 @@ def recording_figure(found: Recorded, name: str) -> Figure:
         panel.set_yticks([])
         panel.set_ylabel("picture's\nchange")
     for panel in axes:
-        _draw_moments(panel, found)
+        _draw_moments(panel, recorded)
         open_frame(panel)
     axes[-1].set_xlabel("time of the force log [s]")
-    axes[-1].set_xlim(found.resampled.time[0], found.resampled.time[-1])
-    figure.legend(handles=_keys(found), loc="outside lower center", ncols=4)
-    kept, all_of = len(found.presses), len(found.touches)
+    axes[-1].set_xlim(recorded.resampled.time[0], recorded.resampled.time[-1])
+    figure.legend(handles=_keys(recorded), loc="outside lower center", ncols=4)
+    kept, all_of = len(recorded.presses), len(recorded.touches)
     figure.suptitle(
         f"{name}: {kept} of {all_of} presses", fontsize=9, weight="bold", parse_math=False
     )
     return figure
 
 
-def _keys(found: Recorded) -> list[Artist]:
+def _keys(recorded: Recorded) -> list[Artist]:
     """Legend of the colours."""
     keys: list[Artist] = [
         Patch(color=MIDDLE_BLUE, alpha=0.7, label="picture at rest"),
         Patch(color=PALE_BLUE, label="plateau: nothing moves"),
         Line2D([], [], color=ORANGE, linewidth=2.0, label="force that is read"),
     ]
-    if len(found.presses) < len(found.touches):
+    if len(recorded.presses) < len(recorded.touches):
         keys.append(Patch(color=GREY, alpha=0.35, label="left out"))
     return keys
 
 
-def _draw_force(axes: Axes, found: Recorded) -> None:
+def _draw_force(axes: Axes, recorded: Recorded) -> None:
     """Draw the magnitude of the force without weight and drift, and the reading of each press."""
-    even = found.resampled
-    size = np.linalg.norm(even.force - found.zero.at(even.time), axis=1)
+    even = recorded.resampled
+    size = np.linalg.norm(even.force - recorded.zero.at(even.time), axis=1)
     every = max(1, len(size) // _POINTS)
     axes.plot(even.time[::every], size[::every], color=INK, linewidth=0.7)
-    for press in found.presses:
+    for press in recorded.presses:
         reading = press.reading
         force = float(np.linalg.norm(reading.force))
         axes.plot([reading.begin, reading.end], [force, force], color=ORANGE, linewidth=2.0)
@@ -402,12 +402,12 @@ def _draw_force(axes: Axes, found: Recorded) -> None:
     axes.set_ylabel("force [N]")
 
 
-def _draw_moments(axes: Axes, found: Recorded) -> None:
+def _draw_moments(axes: Axes, recorded: Recorded) -> None:
     """Draw plateaus and moments at rest as bands, and touches that are left out in grey."""
-    kept = {press.number for press in found.presses}
-    for number, touch in enumerate(found.touches, start=1):
+    kept = {press.number for press in recorded.presses}
+    for number, touch in enumerate(recorded.touches, start=1):
         if number not in kept:
             axes.axvspan(touch.begin, touch.end, color=GREY, alpha=0.35, linewidth=0)
-    for press in found.presses:
+    for press in recorded.presses:
         axes.axvspan(press.reading.begin, press.reading.end, color=PALE_BLUE, linewidth=0, zorder=0)
         axes.axvspan(*press.rest, color=MIDDLE_BLUE, alpha=0.7, linewidth=0, zorder=0)

@@ -179,7 +179,7 @@ def _interval_lines(
 ) -> dict[str, Artist]:
     """Draw the marginal intervals of each constant next to the joint region; gives the artists by
     their labels."""
-    found: dict[str, Artist] = {}
+    artists: dict[str, Artist] = {}
     ratio, shear, young = (
         getattr(estimate, name) for name in ("poisson_ratio", "shear_modulus", "young_modulus")
     )
@@ -197,19 +197,19 @@ def _interval_lines(
     ]
     for line, one in zip(lines, known, strict=True):
         label = "each alone, 95 %: as printed" if one else "not determined: possible range"
-        found[label] = line
+        artists[label] = line
     if all(known):
-        found["estimate"] = _estimate_dot(axes, estimate, factor)
+        artists["estimate"] = _estimate_dot(axes, estimate, factor)
     if estimate.identifiable["young_modulus"]:
         edges = [end / factor / (2.0 * (1.0 + nu)) for end in young.ci95]
-        found["E, 95 %: as printed"] = axes.fill_between(
+        artists["E, 95 %: as printed"] = axes.fill_between(
             nu, *edges, color=ORANGE, alpha=0.12, linewidth=0, zorder=-1
         )
         size, unit = modulus_unit(young.value)
-        (found[f"$E$ = {young.value / size:.4g} {unit}"],) = axes.plot(
+        (artists[f"$E$ = {young.value / size:.4g} {unit}"],) = axes.plot(
             nu, young.value / factor / (2.0 * (1.0 + nu)), "--", color=GREY, linewidth=0.8
         )
-    return found
+    return artists
 
 
 def _interval_style(known: bool) -> dict[str, Any]:
@@ -238,8 +238,8 @@ def refined_likelihood(
     if not near.any():
         return nu, shear, deviance
     along, across = (
-        slice(max(found[0] - 2, 0), found[-1] + 3)
-        for found in (np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0)))
+        slice(max(rows[0] - 2, 0), rows[-1] + 3)
+        for rows in (np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0)))
     )
     nu, shear, part = nu[across], shear[along], deviance[along, across]
     if min(part.shape) < 4 or not np.isfinite(part).all():
@@ -506,23 +506,23 @@ _MOST_NAMES = 24
 
 
 @styled
-def reciprocity_figure(found: Reciprocity) -> Figure | None:
+def reciprocity_figure(reciprocity: Reciprocity) -> Figure | None:
     """Works of every two pushes in each other's motions: how far they differ, in standard
     deviations, and how much larger each force is than the others say.
 
     Parameters
     ----------
-    found : Reciprocity
+    reciprocity : Reciprocity
 
     Returns
     -------
     Figure or None                  None where nothing could be tested
     """
-    if not found.is_tested:
+    if not reciprocity.is_tested:
         return None
-    names = [push.name for push in found.pushes]
+    names = [push.name for push in reciprocity.pushes]
     grid = np.full((len(names), len(names)), np.nan)
-    for pair in found.pairs:
+    for pair in reciprocity.pairs:
         one, other = names.index(pair.first), names.index(pair.second)
         # Of sizes: a force may do negative work in the motion under another.
         larger = float(np.sign(pair.work + pair.other)) * pair.sigmas
@@ -543,10 +543,10 @@ def reciprocity_figure(found: Reciprocity) -> Figure | None:
     left.set_yticks(ticks, names[::step], parse_math=False)
     left.tick_params(length=0)
     rows = np.arange(len(names))
-    value = 100.0 * np.array([push.excess for push in found.pushes])
-    std = 100.0 * np.array([push.std for push in found.pushes])
+    value = 100.0 * np.array([push.excess for push in reciprocity.pushes])
+    std = 100.0 * np.array([push.std for push in reciprocity.pushes])
     right.axvline(0.0, color=INK, linewidth=0.8)
-    odd = np.array([name in found.odd for name in names])
+    odd = np.array([name in reciprocity.odd for name in names])
     for chosen, colour in ((~odd, BLUE), (odd, ORANGE)):
         right.errorbar(value[chosen], rows[chosen], xerr=std[chosen], fmt="o", color=colour,
                        markersize=3.5, elinewidth=0.9)  # fmt: skip

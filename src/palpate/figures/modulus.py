@@ -69,10 +69,10 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
     for k, (i, j) in enumerate(_PLANES, start=1):
         _draw_section(figure.add_subplot(grid[k]), modulus, through, (i, j), colours)
     base = "that of the rest" if field is None or field.is_of_parts else "its mean"
-    axes, found = figure.add_subplot(grid[0]), half_way(modulus, field)
-    _draw_inside(axes, modulus, body, view, colours, found)
-    if found:
-        times = " and ".join(f"{each:.2g}" for each in found)
+    axes, contours = figure.add_subplot(grid[0]), half_way(modulus, field)
+    _draw_inside(axes, modulus, body, view, colours, contours)
+    if contours:
+        times = " and ".join(f"{each:.2g}" for each in contours)
         axes.set_title(f"{times} times {base}", color=INK)
     bar = figure.colorbar(
         ScalarMappable(colours, MODULI), cax=figure.add_axes((0.912, 0.2, 0.012, 0.6))

@@ -226,69 +226,71 @@ def _coloured(
 
 
 @styled
-def next_probings_figure(name: str, found: NextProbings) -> Figure:
+def next_probings_figure(name: str, next_probings: NextProbings) -> Figure:
     """Three views of the object with the candidate places; the best ones are numbered.
 
     Parameters
     ----------
     name : str                      heading
-    found : NextProbings
+    next_probings : NextProbings
 
     Returns
     -------
     Figure
     """
-    mesh = found.session.mesh
+    mesh = next_probings.session.mesh
     views = [make_view(mesh, np.array(side) / np.linalg.norm(side)) for side in _SIDES]
     figure, panels = _panels_around(views, margin=0.06)
-    gain = _gain(found)
+    gain = _gain(next_probings)
     norm = Normalize(0.0, max(float(gain.max(initial=0.0)), 1.0))
     for axes, view, title in zip(panels, views, _TITLES, strict=True):
-        draw_body(axes, view, np.isin(view.triangle, found.session.held_triangles))
-        _mark_places(axes, view, found, gain, norm)
+        draw_body(axes, view, np.isin(view.triangle, next_probings.session.held_triangles))
+        _mark_places(axes, view, next_probings, gain, norm)
         title_panel(axes, title)
-    of = "predicted displacements" if PREDICTION in found.now else "nu"
+    of = "predicted displacements" if PREDICTION in next_probings.now else "nu"
     label = f"one push there narrows the interval of {of} by [%]"
     add_colour_bar(figure, panels, _MAP, norm, label)
-    held = np.isin(np.concatenate([one.triangle for one in views]), found.session.held_triangles)
+    held = np.isin(
+        np.concatenate([one.triangle for one in views]), next_probings.session.held_triangles
+    )
     note = "grey: held" if held.any() else ""
     add_texts(figure, name, "crosses: measured; rings: push here, in this order", note)
     return figure
 
 
-def _gain(found: NextProbings) -> np.ndarray:
+def _gain(next_probings: NextProbings) -> np.ndarray:
     """Relative reduction of an interval by a push at each place alone [%]: of nu, or of
     displacements where these decide."""
-    name = PREDICTION if PREDICTION in found.now else "poisson_ratio"
-    now = found.now[name]
-    after = np.array([one[name] for one in found.alone])
+    name = PREDICTION if PREDICTION in next_probings.now else "poisson_ratio"
+    now = next_probings.now[name]
+    after = np.array([one[name] for one in next_probings.alone])
     if not np.isfinite(now):
         now = float(np.max(after[np.isfinite(after)], initial=1.0))
     return 100.0 * np.clip(1.0 - np.where(np.isfinite(after), after, now) / now, 0.0, 1.0)
 
 
 def _mark_places(
-    axes: Axes, view: SurfaceView, found: NextProbings, gain: np.ndarray, norm: Normalize
+    axes: Axes, view: SurfaceView, next_probings: NextProbings, gain: np.ndarray, norm: Normalize
 ) -> None:
     """Draw candidate, chosen and existing contact points on the near side."""
     turn = view.R_view_object
     # A place whose outward normal faces the viewer is on the near side of a convex body, and of
     # most others.
-    front = -found.inward @ turn[2] > _FRONT
-    place = 1e3 * (found.point @ turn.T)
+    front = -next_probings.inward @ turn[2] > _FRONT
+    place = 1e3 * (next_probings.point @ turn.T)
     axes.scatter(
         place[front, 0], place[front, 1], c=gain[front], cmap=_MAP, norm=norm, s=22,
         linewidths=0.3, edgecolors=INK, zorder=3,
     )  # fmt: skip
-    for number, k in enumerate(found.chosen, start=1):
+    for number, k in enumerate(next_probings.chosen, start=1):
         if front[k]:
             axes.plot(*place[k, :2], "o", mfc="none", mec=ORANGE, mew=1.6, ms=9, zorder=4)
             axes.annotate(
                 str(number), place[k, :2], (6, 4), textcoords="offset points", color=ORANGE,
                 weight="bold", zorder=5,
             )  # fmt: skip
-    measured = np.array([one.contact.point for one in found.session.probings])
-    pushed = np.array([one.force for one in found.session.probings])
+    measured = np.array([one.contact.point for one in next_probings.session.probings])
+    pushed = np.array([one.force for one in next_probings.session.probings])
     length = np.maximum(np.linalg.norm(pushed, axis=1), np.finfo(float).tiny)
     seen = -(pushed / length[:, None]) @ turn[2] > _FRONT
     crosses = 1e3 * (measured @ turn.T)[seen]

@@ -18,6 +18,7 @@ from palpate.geometry.closest_point import (
 from palpate.geometry.mesh_files import (
     MESH_SUFFIXES as MESH_SUFFIXES,
     STEP_SUFFIXES as STEP_SUFFIXES,
+    WRITTEN_SUFFIXES as WRITTEN_SUFFIXES,
     read_mesh as read_mesh,
     welded as welded,
     write_mesh as write_mesh,

@@ -161,14 +161,14 @@ def distinct_points(
     """
     position = np.concatenate([part.position for part in parts])
     _, first, number = np.unique(position, axis=0, return_index=True, return_inverse=True)
-    found = SurfacePoints(
+    distinct = SurfacePoints(
         np.concatenate([part.triangle for part in parts])[first],
         np.concatenate([part.barycentric for part in parts])[first],
         position[first],
         np.concatenate([part.distance for part in parts])[first],
     )
     ends = np.cumsum([len(part.triangle) for part in parts])
-    return found, np.split(number.ravel(), ends[:-1])
+    return distinct, np.split(number.ravel(), ends[:-1])
 
 
 def surface_search(mesh: TriangleMesh) -> SurfaceSearch:

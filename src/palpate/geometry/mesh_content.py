@@ -72,11 +72,11 @@ def parse_vtp(content: bytes) -> tuple[Vertices, Triangles]:
 def _fans(ring: np.ndarray, sizes: np.ndarray) -> Triangles:
     """Triangles (first, i, i + 1) of every polygon."""
     start = np.cumsum(sizes) - sizes
-    found = []
+    triangles = []
     for size in np.unique(sizes[sizes >= 3]):
         polygon = ring[start[sizes == size][:, None] + np.arange(size)]
-        found += [polygon[:, [0, i, i + 1]] for i in range(1, size - 1)]
-    return np.concatenate(found) if found else np.zeros((0, 3), dtype=np.int64)
+        triangles += [polygon[:, [0, i, i + 1]] for i in range(1, size - 1)]
+    return np.concatenate(triangles) if triangles else np.zeros((0, 3), dtype=np.int64)
 
 
 def _parsed_vtp(content: bytes) -> tuple[ElementTree.Element, bytes]:

@@ -24,7 +24,9 @@ from palpate.shapes import Triangles, Vertices
 _TRIMESH_SUFFIXES = (".ply", ".obj", ".stl", ".off")
 # With the format's name in meshio: by the suffix .msh alone it tries a reader that may never end.
 _MESHIO_SUFFIXES = {".msh": "gmsh", ".vtu": "vtu"}
-MESH_SUFFIXES = (*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES, ".vtp")
+# Of files that `write_mesh` writes, and of those that `read_mesh` reads.
+WRITTEN_SUFFIXES = (*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES)
+MESH_SUFFIXES = (*WRITTEN_SUFFIXES, ".vtp")
 STEP_SUFFIXES = (".step", ".stp")
 # CAD files hold no mesh, but are converted to triangles.
 _READ = (*MESH_SUFFIXES, *STEP_SUFFIXES)
@@ -172,11 +174,12 @@ def _write_surface(path: Path, suffix: str, mesh: TriangleMesh) -> None:
     elif suffix in _MESHIO_SUFFIXES:
         meshio = late_import("meshio", extra=None, purpose=f"writing {path.name}")
         content = meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)])
-        with atomic_replacement([path]) as (staged,):
+        with atomic_replacement(path) as staged:
             content.write(staged, file_format=_MESHIO_SUFFIXES[suffix])
     else:
-        writable = " ".join((*_TRIMESH_SUFFIXES, *_MESHIO_SUFFIXES))
-        raise MeshError(f"{path}: cannot write '{suffix}'; choose one of {writable}")
+        raise MeshError(
+            f"{path}: cannot write '{suffix}'; choose one of {' '.join(WRITTEN_SUFFIXES)}"
+        )
 
 
 def welded(mesh: TriangleMesh) -> TriangleMesh:
@@ -238,9 +241,9 @@ def _check_whole(content: bytes, suffix: str) -> None:
         _check_said(said, (len(content) - _STL_HEAD) / _STL_TRIANGLE, "triangles")
 
 
-def _check_said(said: int, found: int | float, what: str = "rows") -> None:
-    if said != found:
-        raise ValueError(f"it says that it has {said} {what}, and holds {found:g}")
+def _check_said(said: int, actual: int | float, what: str = "rows") -> None:
+    if said != actual:
+        raise ValueError(f"it says that it has {said} {what}, and holds {actual:g}")
 
 
 def _check_count(path: Path, count: int, most: int, *, solid: bool = False) -> None:
@@ -281,8 +284,8 @@ def _raw_surface(path: Path, content: bytes) -> tuple[Vertices, Triangles]:
         )
         vertices, triangles = loaded.vertices, loaded.faces
     else:
-        found = result_in_child(read_by_meshio, path, _MESHIO_SUFFIXES[suffix])
-        vertices, triangles = _surface_of_cells(found)
+        surface = result_in_child(read_by_meshio, path, _MESHIO_SUFFIXES[suffix])
+        vertices, triangles = _surface_of_cells(surface)
     return (
         np.array(vertices, dtype=np.float64).reshape(-1, 3),
         whole_numbers(np.asarray(triangles)).reshape(-1, 3),

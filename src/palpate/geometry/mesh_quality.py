@@ -338,11 +338,11 @@ def intersecting_pairs(mesh: TriangleMesh) -> Int[np.ndarray, "k 2"]:
     corner = mesh.vertices[mesh.triangles] - mesh.vertices.mean(axis=0)
     tolerance = _INTERSECTION_TOLERANCE * bounding_diagonal(mesh)
     pairs = _box_pairs(corner, tolerance)
-    found = [
+    crossing = [
         block[~_separated(mesh, corner, block, tolerance)]
         for block in np.split(pairs, np.arange(_PAIRS_PER_BLOCK, len(pairs), _PAIRS_PER_BLOCK))
     ]
-    return np.concatenate(found)
+    return np.concatenate(crossing)
 
 
 def _box_pairs(corner: Float[np.ndarray, "m 3 3"], tolerance: float) -> Int[np.ndarray, "p 2"]:
@@ -353,7 +353,7 @@ def _box_pairs(corner: Float[np.ndarray, "m 3 3"], tolerance: float) -> Int[np.n
     low, high = low[order], high[order]
     end = np.searchsorted(low[:, axis], high[:, axis], side="right")
     count = end - np.arange(len(order)) - 1
-    found = [np.zeros((0, 2), dtype=np.int64)]
+    pairs = [np.zeros((0, 2), dtype=np.int64)]
     begin = 0
     while begin < len(order):
         total = np.cumsum(count[begin:])
@@ -363,9 +363,9 @@ def _box_pairs(corner: Float[np.ndarray, "m 3 3"], tolerance: float) -> Int[np.n
         start = np.cumsum(count[rows]) - count[rows]
         second = first + 1 + np.arange(len(first)) - np.repeat(start, count[rows])
         keep = ((low[second] <= high[first]) & (low[first] <= high[second])).all(axis=1)
-        found.append(order[np.stack([first[keep], second[keep]], axis=1)])
+        pairs.append(order[np.stack([first[keep], second[keep]], axis=1)])
         begin += size
-    return np.sort(np.concatenate(found), axis=1)
+    return np.sort(np.concatenate(pairs), axis=1)
 
 
 def _separated(
@@ -392,12 +392,12 @@ def _separated(
         left = np.flatnonzero(~separated)
         a, b, allowed = sides[0][left], sides[1][left], limit[left]
         along_a, along_b = edge_a[left, i], edge_b[left]
-        found = _overlap(a, b, np.cross(normal_a[left], along_a)) <= allowed
-        found |= _overlap(a, b, np.cross(normal_b[left], along_b[:, i])) <= allowed
+        apart = _overlap(a, b, np.cross(normal_a[left], along_a)) <= allowed
+        apart |= _overlap(a, b, np.cross(normal_b[left], along_b[:, i])) <= allowed
         for j in range(3):
             across = _overlap(a, b, np.cross(along_a, along_b[:, j])) <= allowed
-            found |= ~flat[left] & across
-        separated[left] = found
+            apart |= ~flat[left] & across
+        separated[left] = apart
     return separated
 
 

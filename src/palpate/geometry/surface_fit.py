@@ -158,12 +158,12 @@ def linearised(search: SurfaceSearch, points: MeasuredPoints, pose: Pose) -> Lin
     """
     position = placed(pose, points.point)
     mesh = search.mesh
-    found = search.closest(position)
-    offset_from_surface = position - found.position
-    normal = unit_normals(TriangleMesh(mesh.vertices, mesh.triangles[found.triangle]))
-    beyond = (found.barycentric <= 0.0).any(axis=1)
-    beyond &= found.distance > 1e-9 * search.diagonal
-    normal[beyond] = offset_from_surface[beyond] / found.distance[beyond, None]
+    closest = search.closest(position)
+    offset_from_surface = position - closest.position
+    normal = unit_normals(TriangleMesh(mesh.vertices, mesh.triangles[closest.triangle]))
+    beyond = (closest.barycentric <= 0.0).any(axis=1)
+    beyond &= closest.distance > 1e-9 * search.diagonal
+    normal[beyond] = offset_from_surface[beyond] / closest.distance[beyond, None]
     residual = np.einsum("na,na->n", normal, offset_from_surface)
     centre = position.mean(axis=0)
     offset = position - centre
@@ -179,8 +179,8 @@ def linearised(search: SurfaceSearch, points: MeasuredPoints, pose: Pose) -> Lin
         row=row,
         residual=residual,
         sigma=_sigma(residual, variance, 1e-7 * search.diagonal),
-        triangle=found.triangle,
-        barycentric=found.barycentric,
+        triangle=closest.triangle,
+        barycentric=closest.barycentric,
     )
 
 

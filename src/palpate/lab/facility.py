@@ -16,6 +16,7 @@ import tomlkit
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
+from palpate.checkpoints import Checkpoints, content_digest
 from palpate.errors import InputError, RecordError
 from palpate.geometry import TriangleMesh, closest_points, write_mesh
 from palpate.lab.arm import aim, probe_body, rod_at, solid_under, specimen_body
@@ -25,7 +26,6 @@ from palpate.lab.ideal_view import truth_map, write_truth_map
 from palpate.lab.scene import Variant
 from palpate.lab.studio import Studio, exposure, make_studio, photograph
 from palpate.machine import check_disk_for
-from palpate.parts import Parts, content_digest
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     SESSION_FORMAT,
@@ -69,7 +69,7 @@ class _Bench:
         """Prepare cameras and arm; refuses whatever can be refused before meshing and rendering."""
         mesh = config.specimen.mesh
         self.config, self.folder, self.rig = config, folder, _rig(config)
-        self.parts = Parts(
+        self.parts = Checkpoints(
             parts, "" if parts is None else content_digest((config, self.rig, variant.name))
         )
         instants = [
@@ -293,13 +293,13 @@ def _measure_probing(first: Solid, work: tuple[Sequence[_Bench], int]) -> list[_
     # Refined under this tip only: a mesh for each probing costs less than one for all of them.
     body = specimen_body(benches[0].config, first if k == 0 else _solid(benches[0], k))
     interpolation: dict[bytes, csr_array] = {}
-    found = []
+    measured = []
     for bench in benches:
         rest = bench.studio.mesh.vertices
         if rest.tobytes() not in interpolation:
             interpolation[rest.tobytes()] = surface_values(body.solid, rest)
-        found.append(_photographed(bench, k, body, interpolation[rest.tobytes()]))
-    return found
+        measured.append(_photographed(bench, k, body, interpolation[rest.tobytes()]))
+    return measured
 
 
 def _photographed(bench: _Bench, k: int, body: Body, interpolation: csr_array) -> _Measured:

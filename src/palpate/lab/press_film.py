@@ -68,11 +68,11 @@ class Film:
     @property
     def start_times(self) -> Float[np.ndarray, " k"]:
         """Time of first contact of each press, gauge's clock [s]."""
-        found, time = [], 2.0
+        times, time = [], 2.0
         for k in range(self.presses):
-            found.append(time)
+            times.append(time)
             time += 2.0 * (self.ramp + self.approach) + self.hold + self.pause[k % len(self.pause)]
-        return np.array(found)
+        return np.array(times)
 
     @property
     def duration(self) -> float:

@@ -343,13 +343,13 @@ def llvm_candidates(folders: Iterable[str] = LLVM_FOLDERS) -> list[Path]:
     -------
     list of Path                    by the version in the file's own name
     """
-    found = {
+    libraries = {
         Path(file).resolve()
         for folder in folders
         for file in glob(f"{folder}/*LLVM*")
         if _LIBRARY.fullmatch(Path(file).name)
     }
-    return sorted(found, key=lambda file: (_version(file), str(file)), reverse=True)
+    return sorted(libraries, key=lambda file: (_version(file), str(file)), reverse=True)
 
 
 def load_mitsuba(variant: Variant) -> ModuleType:

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from palpate.checkpoints import Checkpoints, content_digest
 from palpate.errors import InputError
 from palpate.figures import (
     BLUE,
@@ -42,7 +43,6 @@ from palpate.lab import (
 )
 from palpate.paper.constants import constant_errors
 from palpate.paper.result import Cell, ResultTable
-from palpate.parts import Parts, content_digest
 from palpate.pipeline import fit_session, with_pictures_measured
 from palpate.progress import Progress, part_of, silent
 from palpate.records import Session, read_rig, read_session, write_rig
@@ -135,16 +135,16 @@ def error_budget(
         parts=parts,
         distribute=distribute,
     )
-    finished = Parts(parts, "" if parts is None else content_digest((config, variant.name)))
+    finished = Checkpoints(parts, "" if parts is None else content_digest((config, variant.name)))
     # Its motion is reused by every source that changes neither pictures nor cameras.
     exact = read_session(folders[sources[0].name])
     exact = with_pictures_measured(exact, pose="given", parts=parts)
     readings = [source for source in sources if source.change]
-    found: list[SourceErrors] = []
+    budget: list[SourceErrors] = []
     for source in sources:
-        progress(source.name, _MAKING + (1.0 - _MAKING) * len(found) / len(sources))
+        progress(source.name, _MAKING + (1.0 - _MAKING) * len(budget) / len(sources))
         if source.change is None:
-            sessions = [exact if not found else read_session(folders[source.name])]
+            sessions = [exact if not budget else read_session(folders[source.name])]
         else:
             seeds = ([config.seed, readings.index(source), draw] for draw in range(draws))
             sessions = [
@@ -162,8 +162,8 @@ def error_budget(
             for number, session in enumerate(sessions)
         ]
         single, joint = (np.concatenate(each) for each in zip(*errors, strict=True))
-        found.append(SourceErrors(source.name, source.size, single, joint))
-    return tuple(found)
+        budget.append(SourceErrors(source.name, source.size, single, joint))
+    return tuple(budget)
 
 
 def _exact(config: LabConfig) -> LabConfig:

@@ -48,7 +48,7 @@ def estimated_constants(measured: PaperSession, method: Method) -> tuple[Session
     InputError                      a motion that could not be measured
     SingularSystemError, NotConvergedError    as in `fit_session`
     """
-    session = with_measured_displacement(measured.session, measured.found[method])
+    session = with_measured_displacement(measured.session, measured.flows[method])
     return session, fit_session(session)
 
 
@@ -114,7 +114,7 @@ def constants_table(estimate: Estimate, title: str) -> ResultTable:
 
 
 def constants_summary(
-    found: Mapping[Method, Estimate], truth: Material, compressed: float
+    estimates: Mapping[Method, Estimate], truth: Material, compressed: float
 ) -> ResultTable:
     """Table of the spread over single probings, the joint estimate, and its error.
 
@@ -122,7 +122,7 @@ def constants_summary(
 
     Parameters
     ----------
-    found : mapping                 method -> Estimate
+    estimates : mapping                 method -> Estimate
     truth : Material
     compressed : float [Pa]         Young's modulus of a compression test of the same material
 
@@ -137,7 +137,7 @@ def constants_summary(
     rows: list[tuple[Cell, ...]] = [
         (PAPER, *_spread(published), ratio, None, 100 * error, None, None)
     ]
-    for method, estimate in found.items():
+    for method, estimate in estimates.items():
         single = np.array([(p.poisson_ratio.value, p.shear_modulus.value) for p in estimate.probes])
         ((nu_error, _, young_error),) = constant_errors([estimate], truth)
         ((nu_held, _, young_held),) = intervals_hold([estimate], truth).tolist()

@@ -219,7 +219,7 @@ def _figure3(measured: Measured, _work: ExperimentRun) -> PaperResult:
 
 def _table3(measured: Measured, _work: ExperimentRun) -> PaperResult:
     ball = measured[_BALL]
-    found = {method: estimated_constants(ball, method)[1].estimate for method in METHODS}
+    estimates = {method: estimated_constants(ball, method)[1].estimate for method in METHODS}
     truth = true_material(ball.session)
     return PaperResult(
         "Table 3: elastic constants of a half ball",
@@ -229,13 +229,13 @@ def _table3(measured: Measured, _work: ExperimentRun) -> PaperResult:
         " of E is against its compression test, the others are against the truth. The cylinder of"
         " the compression test sticks to its lower plate, so that it says a little too much. No"
         " interval is stated where the data contradict the model.",
-        constants_summary(found, truth, compressed_modulus(truth)),
-        tuple(constants_table(each, f"Table 3, {method}") for method, each in found.items()),
+        constants_summary(estimates, truth, compressed_modulus(truth)),
+        tuple(constants_table(each, f"Table 3, {method}") for method, each in estimates.items()),
         {
             f"table3_{method}": figure_pixels(
                 probings_figure(each, truth={name: getattr(truth, name) for name in CONSTANT_NAMES})
             )
-            for method, each in found.items()
+            for method, each in estimates.items()
         },
     )
 
@@ -286,10 +286,10 @@ def _with_paper_rows(
     rows_of: Callable[[PaperSession, Method], Sequence[MotionRow]],
 ) -> dict[str, Sequence[MotionRow]]:
     """The paper's rows, for as many steps as were measured, and those of each method."""
-    found: dict[str, Sequence[MotionRow]] = {
+    rows_by_method: dict[str, Sequence[MotionRow]] = {
         method: rows_of(measured, method) for method in METHODS
     }
-    return {PAPER: own[: len(found[METHODS[0]])], **found}
+    return {PAPER: own[: len(rows_by_method[METHODS[0]])], **rows_by_method}
 
 
 def _flow_pictures(name: str, measured: Measured, motions: Sequence[_Motion]) -> dict[str, Picture]:

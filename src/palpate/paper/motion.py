@@ -74,7 +74,7 @@ def flow_rows(measured: PaperSession, method: Method) -> tuple[MotionRow, ...]:
     ------
     RecordError, InputError         as in `rigid_steps`
     """
-    rig = measured.found[method].rig
+    rig = measured.flows[method].rig
     axis = rig.cameras[rig.reference].T_camera_object[2, :3]
     return tuple(
         flow_row(
@@ -263,7 +263,7 @@ def _instants(
     measured: PaperSession, method: Method
 ) -> list[tuple[MeasuredMotion, tuple[Float[np.ndarray, "4 4"], float]]]:
     """Measured motion, and true motion and travel, of each step after the first."""
-    return list(zip(measured.found[method].motions, rigid_steps(measured.session), strict=True))
+    return list(zip(measured.flows[method].motions, rigid_steps(measured.session), strict=True))
 
 
 def _listed(tests: Tests) -> list[tuple[str, str, Sequence[MotionRow]]]:
@@ -330,11 +330,11 @@ def flow_picture(measured: PaperSession, method: Method, name: str, title: str) 
     ------
     InputError                      no such motion, or one that could not be measured
     """
-    found, mesh = measured.found[method], measured.session.mesh
+    fields, mesh = measured.flows[method], measured.session.mesh
     motion = measured.motion(method, name)
     if motion.flow is None:
         raise InputError(f"motion '{name}' cannot be drawn: {motion.failure}")
-    camera = found.rig.cameras[found.rig.reference]
+    camera = fields.rig.cameras[fields.rig.reference]
     rows, columns = motion.first.shape
     surface = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
     view = make_flow_view(motion.first, camera, surface, mesh)

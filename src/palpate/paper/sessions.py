@@ -41,11 +41,11 @@ class PaperSession:
     Attributes
     ----------
     session : Session               with `truth.toml` in its folder
-    found : mapping                 method -> SessionFlow
+    flows : mapping                 method -> SessionFlow
     """
 
     session: Session
-    found: Mapping[Method, SessionFlow]
+    flows: Mapping[Method, SessionFlow]
 
     def motion(self, method: Method, name: str) -> MeasuredMotion:
         """The motion of a step or probing, by one method.
@@ -59,7 +59,7 @@ class PaperSession:
         -------
         MeasuredMotion
         """
-        return next(each for each in self.found[method].motions if each.name == name)
+        return next(each for each in self.flows[method].motions if each.name == name)
 
 
 def reduced(config: LabConfig) -> LabConfig:
@@ -124,17 +124,17 @@ def measured_session(
     make_session(
         config, folder, variant=variant, progress=making, parts=parts, distribute=distribute
     )
-    session, found = read_session(folder), {}
+    session, motions = read_session(folder), {}
     for k, method in enumerate(methods):
         begin, end = (_MAKING + (1.0 - _MAKING) * i / len(methods) for i in (k, k + 1))
-        found[method] = measure_motion(
+        motions[method] = measure_motion(
             session,
             method=FLOW_METHODS[method](),
             pose="given",
             progress=part_of(progress, begin, end, prefix=f"{method}: "),
             parts=parts,
         )
-    return PaperSession(session, found)
+    return PaperSession(session, motions)
 
 
 def rigid_steps(session: Session) -> list[tuple[Float[np.ndarray, "4 4"], float]]:

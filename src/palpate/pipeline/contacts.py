@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.bem import BoundarySurface, PressureDisc, disc_displacement, disc_potentials
+from palpate.checkpoints import Cache
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import FitSettings, ProbeObservations, joint_minimum
 from palpate.geometry import (
@@ -22,7 +23,6 @@ from palpate.geometry import (
     interpolation_matrix,
     unit_normals,
 )
-from palpate.parts import Cache
 from palpate.pipeline.observations import ungraded_observations
 from palpate.probe import LocalSurface, local_surface, tool_contact
 from palpate.progress import Progress, part_of
@@ -189,10 +189,10 @@ def settled_contact(
         return contact
     local = local_surface(session.mesh, contact.point, tool.radius)
     pressed = -float(local.normal @ force)
-    found = tool_contact(
+    settled = tool_contact(
         tool, local, pressed, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio
     )
-    return replace(contact, radius=found.radius, traction=found.traction)
+    return replace(contact, radius=settled.radius, traction=settled.traction)
 
 
 def largest_change(before: Session, after: Session) -> float:

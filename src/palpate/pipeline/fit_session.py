@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from palpate.bem import CENTRE, DENSE_RESIDUAL, CentredSystem, CompressedSystem
+from palpate.bem import DENSE_RESIDUAL
+from palpate.checkpoints import Cache
 from palpate.errors import InputError
 from palpate.estimation import FitMethod, FitResult, FitSettings, ProbeFit, ProbeObservations, fit
-from palpate.parts import Cache
 from palpate.pipeline.contacts import has_tools, with_consistent_contacts
 from palpate.pipeline.creep import with_relaxation
 from palpate.pipeline.heterogeneous import (
@@ -345,13 +345,13 @@ def _session_notes(
     if finite_strain:
         strained = biased = []
     others = [note for note in session.notes if BIASED not in note]
-    found = _contact_notes(refined, probes) + _rejection_notes(session)
+    notes = _contact_notes(refined, probes) + _rejection_notes(session)
     strained = [*_load_notes(result.estimate, finite_strain=finite_strain), *strained]
     first = (*fitted[:1], *strained) if contradicted else (*strained, *fitted[:1])
     # Pushes that contradict each other leave the model nothing to explain.
     broken = [tested.text] if tested is not None and not tested.holds else []
     rotated = _rotation_notes(probes)
-    return (*broken, *first, *biased, *rotated, *fitted[1:], *found, *others)
+    return (*broken, *first, *biased, *rotated, *fitted[1:], *notes, *others)
 
 
 def _agreement(tested: Reciprocity | None) -> list[str]:
@@ -459,10 +459,8 @@ def _rejection_notes(session: Session) -> list[str]:
 
 def _keep(model: ObjectModel, settings: FitSettings, residual: float, *, with_loads: bool) -> None:
     """Have a model's factors computed, and its reduced model with its loads."""
-    if isinstance(model.system, CompressedSystem):
-        return
     # On springs, a reduced model depends on the shear modulus.
     if with_loads and model.springs is None:
         reduced_model_of(model, settings=settings, residual=residual)
     else:
-        _ = (model.centred or CentredSystem(model.system, CENTRE)).factorised
+        model.solver.prepare()

@@ -6,6 +6,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from palpate.checkpoints import Cache
 from palpate.errors import InputError, MeshError, NotConvergedError, SingularSystemError
 from palpate.estimation import (
     Evaluation,
@@ -31,7 +32,6 @@ from palpate.field import (
     no_field_reason,
 )
 from palpate.machine import machine_memory
-from palpate.parts import Cache
 from palpate.pipeline.contacts import has_tools, with_contact_radii
 from palpate.pipeline.model.grading import graded_session, refined_session
 from palpate.pipeline.model.object_model import make_object_model

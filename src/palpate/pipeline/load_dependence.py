@@ -65,14 +65,16 @@ def load_dependence(session: Session, minimum: Evaluation) -> LoadDependence | N
     )  # fmt: skip
 
 
-def is_shown(found: LoadDependence | None) -> bool:
+def is_shown(dependence: LoadDependence | None) -> bool:
     """Whether pushes rule out a linear object.
 
     Parameters
     ----------
-    found : LoadDependence or None      None: nothing tells
+    dependence : LoadDependence or None      None: nothing tells
     """
-    return found is not None and abs(found.exponent.value) > _SHOWN * found.exponent.std
+    return (
+        dependence is not None and abs(dependence.exponent.value) > _SHOWN * dependence.exponent.std
+    )
 
 
 def _places(session: Session, force: Float[np.ndarray, " k"]) -> Iterator[Int[np.ndarray, " g"]]:

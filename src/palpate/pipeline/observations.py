@@ -11,17 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
-from palpate.bem import (
-    CENTRE,
-    DENSE_RESIDUAL,
-    LARGEST_DENSE,
-    CentredSystem,
-    CompressedSystem,
-    SolutionModel,
-    factorise,
-    make_reduced_model,
-    solve,
-)
+from palpate.bem import DENSE_RESIDUAL, LARGEST_DENSE, SolutionModel, make_solver
+from palpate.checkpoints import Cache
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import (
     FitMethod,
@@ -34,7 +25,6 @@ from palpate.estimation import (
     padded,
 )
 from palpate.geometry import SurfacePoints, TriangleMesh, bounding_diagonal, distinct_points
-from palpate.parts import Cache
 from palpate.pipeline.model.grading import REMAINING_FRACTION, edge_refined_session, graded_session
 from palpate.pipeline.model.object_model import ObjectModel, make_object_model, probe_rows
 from palpate.pipeline.model.responses import (
@@ -128,8 +118,8 @@ def reduced_model_of(
     """
     tolerance = np.full(model.right.terms.shape[2], residual)
     tolerance[model.loads.perturbation_columns] = _PERTURBATION_TOLERANCE
-    return make_reduced_model(
-        model.centred or model.system, model.right, poisson_range=settings.poisson_range,
+    return model.solver.reduced_model(
+        model.right, poisson_range=settings.poisson_range,
         tolerance=tolerance,
     )  # fmt: skip
 
@@ -289,9 +279,10 @@ def ungraded_model(
     model = make_object_model(
         plain, rings=rings, cache=cache, perturbed=False, like=like, progress=progress
     )
-    if _can_be_centred(model, settings) and model.centred is None:
+    # On springs, factors serve all moduli.
+    if like is None and model.springs is None:
         # In solutions, a residual of 1e-5 allows for errors at least as large as single precision.
-        model = replace(model, centred=CentredSystem(model.system, CENTRE, single=True))
+        model = replace(model, solver=make_solver(model.system, single=True))
     return model
 
 
@@ -405,24 +396,13 @@ def _session_observations_at(
         on_springs = spring_responses(model, model.springs, rows, settings)
         return lambda modulus: _all_observations(session, model, on_springs(modulus), modulus)
     if settings.method == FitMethod.NELDER_MEAD:
-        responses = full_responses(_full_solution(model), rows)
+        responses = full_responses(
+            lambda ratio: model.solver.at(ratio)(model.right.at(ratio)), rows
+        )
     else:
         reduced = reduced_model_of(model, settings=settings, residual=residual)
         responses = reduced_responses(reduced, rows, settings.poisson_range)
     return lambda modulus: _all_observations(session, model, responses, modulus)
-
-
-def _full_solution(model: ObjectModel) -> Callable[[float], Float[np.ndarray, "k c"]]:
-    """Poisson's ratio -> the solutions there, by a factorisation of their own."""
-    if isinstance(model.system, CompressedSystem):
-        raise InputError(
-            f"the method nelder-mead factorises anew at every step, and a surface of"
-            f" {len(model.session.mesh.vertices)} vertices is solved by iteration instead: leave"
-            " --method out, or simplify the surface"
-        )
-    return lambda poisson_ratio: solve(
-        factorise(model.system, poisson_ratio), model.right.at(poisson_ratio)
-    )
 
 
 def _all_observations(
@@ -547,9 +527,3 @@ def _with_mesh_errors(
         steps = (each for each in coarse.nuisances if each.parameters[0].is_model_error)
         with_errors.append(replace(probe, nuisances=(*probe.nuisances, error, *steps)))
     return with_errors
-
-
-def _can_be_centred(model: ObjectModel, settings: FitSettings) -> bool:
-    """Whether the solutions of a model come from one factorisation."""
-    compressed = isinstance(model.system, CompressedSystem)
-    return settings.method == FitMethod.REDUCED and model.springs is None and not compressed

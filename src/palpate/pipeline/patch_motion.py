@@ -169,17 +169,17 @@ def local_field(
     for _ in range(_ROUNDS):
         if len(rows) < _FEWEST:
             return None
-        found = _most_likely(rows, points, moved, noise, claim, claimed)
+        field = _most_likely(rows, points, moved, noise, claim, claimed)
         # What each point is off from the prediction by all others, over its standard deviation.
-        sharp = np.einsum("ann->na", found.inverse)
-        scaled = np.einsum("anm,ma->na", found.inverse, found.moved)
-        off = np.abs(scaled) / (np.sqrt(sharp) * found.level)
+        sharp = np.einsum("ann->na", field.inverse)
+        scaled = np.einsum("anm,ma->na", field.inverse, field.moved)
+        off = np.abs(scaled) / (np.sqrt(sharp) * field.level)
         kept = off.max(axis=1) < -float(ndtri(0.5 * FALSE_ALARM / off.size))
         if kept.all():
             break
         rows, points, moved = rows[kept], points[kept], moved[kept]
         noise = noise[:, kept][:, :, kept]
-    return found
+    return field
 
 
 def _most_likely(
@@ -386,12 +386,14 @@ def patch_motion(
     for group in _groups(patches, [len(rows) > 0 for rows in around]):
         rows = np.unique(np.concatenate([around[p] for p in group]))
         points, moved = field.points[rows], field.displacement[rows]
-        found = local_field(rows, points, moved, _noise(field, rows), claimed=field.std is not None)
-        if found is not None:
-            parts.append((group, found))
+        motion = local_field(
+            rows, points, moved, _noise(field, rows), claimed=field.std is not None
+        )
+        if motion is not None:
+            parts.append((group, motion))
             chosen = [patches[p] for p in group]
-            weights = _shares(chosen) @ found.weights(_points(chosen))
-            smooth[np.ix_(group, np.arange(3), found.rows)] = weights.transpose(1, 0, 2)
+            weights = _shares(chosen) @ motion.weights(_points(chosen))
+            smooth[np.ix_(group, np.arange(3), motion.rows)] = weights.transpose(1, 0, 2)
     return _moved(field, patches, parts, smooth)
 
 
@@ -405,19 +407,19 @@ def _moved(
     count = len(patches)
     seen, mean, growth = np.zeros(count, dtype=bool), np.zeros((count, 3)), np.zeros((count, 3))
     gradient, factor = np.zeros((count, 3, 3)), np.zeros(count)
-    for group, found in parts:
-        seen[group], factor[group] = True, found.level / found.claim
+    for group, motion in parts:
+        seen[group], factor[group] = True, motion.level / motion.claim
         for p in group:
             patch = patches[p]
-            values = patch.share @ found.at(patch.points)
+            values = patch.share @ motion.at(patch.points)
             mean[p], growth[p] = values[0], (values[5] - values[6]) / (2.0 * _GROWN)
             slopes = (values[[1, 3]] - values[[2, 4]]) / (2.0 * patch.step)
             gradient[p] = slopes.T @ tangents_of(patch.normal)
     used = np.flatnonzero(smooth.any(axis=(0, 1)))
     covariance = factor[:, None, None, None] * factor[:, None] * _spread(field, used, smooth)
-    for group, found in parts:
+    for group, motion in parts:
         chosen = [patches[p] for p in group]
-        rest = found.rest(_points(chosen), _shares(chosen))
+        rest = motion.rest(_points(chosen), _shares(chosen))
         for a in range(3):
             own = np.ix_(group, np.array([a]), group, np.array([a]))
             covariance[own] += rest[a][:, None, :, None]

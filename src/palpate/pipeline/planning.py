@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, UInt
 
+from palpate.checkpoints import Cache
 from palpate.errors import InputError
 from palpate.estimation import FitResult, Information, ProbeObservations, fisher_information
 from palpate.geometry import (
@@ -21,7 +22,6 @@ from palpate.geometry import (
     closest_points,
 )
 from palpate.lab import Material, Pictures, Variant, planned_pictures
-from palpate.parts import Cache
 from palpate.pipeline.contacts import with_contact_radii
 from palpate.pipeline.fit_session import fit_session
 from palpate.pipeline.heterogeneous import Material as Substance, Predictor
@@ -278,11 +278,11 @@ def plan_next(
 
     def expected(places: Sequence[int]) -> dict[str, float]:
         pushes = [*made, *(len(made) + k for k in places)]
-        found = information.bound(pushes)
+        bound = information.bound(pushes)
         if not is_uniform:
             others = range(len(made), len(made) + len(point))
-            found[PREDICTION] = information.prediction(pushes, others)
-        return found
+            bound[PREDICTION] = information.prediction(pushes, others)
+        return bound
 
     def gain(places: Sequence[int]) -> float:
         if is_uniform:
@@ -392,7 +392,7 @@ def expected_precision(session: Session) -> dict[str, float]:
         settled = with_contact_radii(session, shear_modulus=shear, poisson_ratio=_RATIOS[1])
         observed = session_observations(settled, make_object_model(settled), shear_modulus=shear)
         shear, ratio, rms = min(
-            (_explaining(observed, nu) for nu in _RATIOS), key=lambda found: found[2]
+            (_explaining(observed, nu) for nu in _RATIOS), key=lambda candidate: candidate[2]
         )
     known = [
         probe if probe.std is not None

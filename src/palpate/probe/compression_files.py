@@ -230,16 +230,16 @@ def _unit(
 ) -> float:
     """Factor to SI units: of the requested unit, else of the one in brackets in the column's name,
     else of the usual one."""
-    found = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]", column.heading)
+    match = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]", column.heading)
     if wanted is not None:
-        if found and found[1] != wanted:
-            notes.append(f"The file says {found[1]} for the {what}; {wanted} is taken, as asked.")
+        if match and match[1] != wanted:
+            notes.append(f"The file says {match[1]} for the {what}; {wanted} is taken, as asked.")
         return known[wanted]
-    if found and found[1] in known:
-        return known[found[1]]
-    if found:
+    if match and match[1] in known:
+        return known[match[1]]
+    if match:
         raise RecordError(
-            f'{path}: column "{column.heading}": unit "{found[1]}" is not known; must be one of '
+            f'{path}: column "{column.heading}": unit "{match[1]}" is not known; must be one of '
             f"{', '.join(known)}: correct it, or say {what}_unit"
         )
     notes.append(f"The file gives no unit for the {what}; {usual} is taken.")

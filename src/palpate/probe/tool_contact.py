@@ -201,17 +201,17 @@ def tool_contact(
             " force's sign and frame, and that the contact's point is not on an edge of the object"
         )
     modulus = reduced_modulus(tool, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio)
-    found = None
+    contact = None
     if isinstance(tool, RoundTool):
-        found = _on_circle(tool, local, force / modulus, poisson_ratio)
+        contact = _on_circle(tool, local, force / modulus, poisson_ratio)
     elif isinstance(tool, ShapedTool):
-        found = _on_grid(tool, local, force / modulus, poisson_ratio)
-    if found is None:
+        contact = _on_grid(tool, local, force / modulus, poisson_ratio)
+    if contact is None:
         raise InputError(
             f"a force of {force:.3g} N would bury a {tool.shape} of {1e3 * tool.radius:.3g} mm in a"
             f" material of G = {shear_modulus:.3g} Pa; check the tool's radius and the force"
         )
-    return found
+    return contact
 
 
 def reduced_modulus(tool: Tool, *, shear_modulus: float, poisson_ratio: float) -> float:
@@ -281,8 +281,8 @@ def _raised(poisson_ratio: float) -> float:
 def _circle(slope: Slope, load: float, largest: float) -> float:
     """Radius of the circle under a force over the reduced modulus."""
     least = 1e-9 * largest
-    found = brentq(lambda a: _load_on(slope, a) - load, least, largest, xtol=1e-12 * largest)
-    return float(found)
+    radius = brentq(lambda a: _load_on(slope, a) - load, least, largest, xtol=1e-12 * largest)
+    return float(radius)
 
 
 def _load_on(slope: Slope, radius: float) -> float:

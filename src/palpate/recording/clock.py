@@ -369,32 +369,32 @@ def _clock(
         for touch, rest in zip(touches, plateau_spans, strict=True)
     ]
     ramps = camera_ramps(footage, times)
-    found = fine_clock(coarse, force, touches, ramps, footage.camera)
+    clock = fine_clock(coarse, force, touches, ramps, footage.camera)
     frame = motion.interval
-    if found.scatter > _MAX_SCATTER * frame:
+    if clock.scatter > _MAX_SCATTER * frame:
         raise RecordError(
             f"{footage.source}: the clock of camera '{footage.camera}' does not run with the"
-            f" gauge's: its offset differs by {1e3 * found.scatter:.0f} ms (one sigma) from press"
+            f" gauge's: its offset differs by {1e3 * clock.scatter:.0f} ms (one sigma) from press"
             f" to press, a frame is {1e3 * frame:.0f} ms; were frames dropped? Give the time of"
             " each frame as `times`"
         )
     if given is None:
-        return found
-    difference = abs(found.offset - given)
+        return clock
+    difference = abs(clock.offset - given)
     ramp = float(
         np.median([a - touch.begin for touch, (a, _) in zip(touches, plateau_spans, strict=True)])
     )
-    if difference > max(_OFFSET_SIGMAS * found.std, _OFFSET_FRAMES * frame, _OFFSET_RAMPS * ramp):
+    if difference > max(_OFFSET_SIGMAS * clock.std, _OFFSET_FRAMES * frame, _OFFSET_RAMPS * ramp):
         raise RecordError(
             f"{footage.source}: the offset of camera '{footage.camera}' is said to be {given:g} s,"
-            f" and its pictures go with the force at {found.offset:.3f} s, {difference / frame:.1f}"
+            f" and its pictures go with the force at {clock.offset:.3f} s, {difference / frame:.1f}"
             " frames away: the camera was not synchronised; correct `offset`, or leave it out"
         )
     hysteresis = tuple(
         np.nan if ramp is None else hysteresis_of(force, touch, ramp, given)
         for touch, ramp in zip(touches, ramps, strict=True)
     )
-    return replace(found, offset=given, given=True, hysteresis=hysteresis)
+    return replace(clock, offset=given, given=True, hysteresis=hysteresis)
 
 
 def still_pictures(

@@ -370,20 +370,20 @@ def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Signal 
     ------
     RecordError                     as in `read_frames`
     """
-    found: list[Signal | None] = []
+    ramps: list[Signal | None] = []
     kept: list[tuple[float, np.ndarray]] = []
     waiting = list(presses)
     for _, time, grey in read_frames(footage):
         while waiting and time > waiting[0].end + MARGIN:
-            found.append(_ramp(waiting.pop(0), kept))
+            ramps.append(_ramp(waiting.pop(0), kept))
             kept = []
         if waiting and waiting[0].shows(time):
             kept = _thinned(kept)
             kept.append((time, _downsampled(grey)))
     for press in waiting:
-        found.append(_ramp(press, kept))
+        ramps.append(_ramp(press, kept))
         kept = []
-    return found
+    return ramps
 
 
 def _thinned(kept: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:

@@ -228,23 +228,23 @@ def _columns(
     """The columns of the wanted headings, with or without their units; without such, those with
     usual names, which must be so many."""
     if not wanted:
-        found = [column for column in table.columns if _bare_heading(column.heading) in usual]
-        if len(found) != count:
-            raise RecordError(f"{table.path}: {len(found)} {advice}; it has: {table.listed}")
-        return found
+        matching = [column for column in table.columns if _bare_heading(column.heading) in usual]
+        if len(matching) != count:
+            raise RecordError(f"{table.path}: {len(matching)} {advice}; it has: {table.listed}")
+        return matching
     chosen = []
     for name in wanted:
-        found = [
+        matching = [
             column
             for column in table.columns
             if name.lower() in (column.heading.lower(), _bare_heading(column.heading))
         ]
-        if len(found) != 1:
+        if len(matching) != 1:
             raise RecordError(
-                f"{table.path}: {len(found) or 'no'} columns are called {quoted(name)}; it has:"
+                f"{table.path}: {len(matching) or 'no'} columns are called {quoted(name)}; it has:"
                 f" {table.listed}"
             )
-        chosen += found
+        chosen += matching
     return chosen
 
 
@@ -312,16 +312,16 @@ def _gaps(time: Float[np.ndarray, " n"]) -> tuple[tuple[float, float], ...]:
 
 def _saturated(reading: Float[np.ndarray, " n"], limit: float | None) -> Bool[np.ndarray, " n"]:
     """Saturated readings: at the given limit, or recognised by repeated extreme values."""
-    found = np.zeros(len(reading), dtype=bool)
+    saturated = np.zeros(len(reading), dtype=bool)
     if limit is not None:
-        found |= np.abs(reading) >= 0.999 * limit
+        saturated |= np.abs(reading) >= 0.999 * limit
     for end in (reading.max(), reading.min()):
         others = reading[1:] != end
         repeats = (np.diff(reading) == 0.0)[others]
         if len(repeats) and repeats.mean() < _MAX_REPEATED:
             for first, last in true_runs(reading == end):
-                found[first:last] |= last - first >= _MIN_EQUAL_READINGS
-    return found
+                saturated[first:last] |= last - first >= _MIN_EQUAL_READINGS
+    return saturated
 
 
 def true_runs(flags: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
@@ -453,6 +453,8 @@ def _rows(reader: Any, connections: list[Any], attribute_path: str) -> Iterator[
         time = 1e-9 * recorded
         if stamp is not None and stamp.sec + stamp.nanosec > _UNSET_STAMP:
             time = stamp.sec + 1e-9 * stamp.nanosec
-        found = reduce(getattr, filter(None, attribute_path.split(".")), message)
-        values = [getattr(found, axis) for axis in _AXES] if hasattr(found, "x") else [found]
+        component = reduce(getattr, filter(None, attribute_path.split(".")), message)
+        values = (
+            [getattr(component, axis) for axis in _AXES] if hasattr(component, "x") else [component]
+        )
         yield ",".join(f"{value:.9f}" for value in (time, *values))

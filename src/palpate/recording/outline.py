@@ -353,16 +353,16 @@ def _pictured_probes(survey: FolderSurvey, outline: Outline) -> list[str]:
 
 def _patterns(pictures: Sequence[str], cameras: Sequence[str]) -> list[str]:
     """File patterns with `{camera}` for the camera's name, where every camera has a picture."""
-    found: dict[str, set[str]] = {}
+    patterns: dict[str, set[str]] = {}
     for picture in pictures:
         path = Path(picture)
         for camera in cameras:
             expression = rf"(?<![A-Za-z0-9]){re.escape(camera)}(?![A-Za-z0-9])"
             if re.search(expression, path.name):
                 name = re.sub(expression, "{camera}", path.name)
-                found.setdefault(path.with_name(name).as_posix(), set()).add(camera)
+                patterns.setdefault(path.with_name(name).as_posix(), set()).add(camera)
     return sorted(
-        name for name, found_cameras in found.items() if len(found_cameras) == len(cameras)
+        name for name, found_cameras in patterns.items() if len(found_cameras) == len(cameras)
     )
 
 
@@ -546,7 +546,7 @@ def flat_sides(mesh: TriangleMesh) -> tuple[Side, ...]:
     """
     areas = triangle_areas(mesh)
     size = float(np.ptp(mesh.vertices, axis=0).max())
-    found = []
+    sides = []
     for name, (axis, sign) in _SIDES.items():
         height = sign * mesh.vertices[:, axis]
         on_side = (height[mesh.triangles] > height.max() - _FLATNESS * size).all(axis=1)
@@ -554,8 +554,8 @@ def flat_sides(mesh: TriangleMesh) -> tuple[Side, ...]:
             point, normal = np.zeros(3), np.zeros(3)
             point[axis], normal[axis] = sign * height.max(), sign
             area_fraction = float(areas[on_side].sum() / areas.sum())
-            found.append(Side(name, point, normal, _FLATNESS * size, area_fraction))
-    return tuple(sorted(found, key=lambda side: (-round(side.area_fraction, 3), side.name != "z-")))
+            sides.append(Side(name, point, normal, _FLATNESS * size, area_fraction))
+    return tuple(sorted(sides, key=lambda side: (-round(side.area_fraction, 3), side.name != "z-")))
 
 
 def opposite_side(sides: tuple[Side, ...], side: Side | None) -> Side | None:

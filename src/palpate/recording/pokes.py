@@ -130,12 +130,12 @@ def read_pokes(table: PokeTable, tool: Tool) -> Pokes:
         _curve(number, table, rows, sign, power) for number, rows in enumerate(parts, start=1)
     ]
     noise = _noise(curves, power)
-    found = [
+    pokes = [
         (each, reading)
         for each in curves
         if _has_contact(each, noise) and (reading := _reading(each, noise, power))
     ]
-    clear = [each for each, _ in found]
+    clear = [each for each, _ in pokes]
     if len(clear) < _FEWEST:
         raise InputError(
             f"{len(clear)} of {len(curves)} pokes have contact; {_FEWEST} must. In any others"
@@ -149,7 +149,7 @@ def read_pokes(table: PokeTable, tool: Tool) -> Pokes:
             f" {1e3 * tool.radius:.3g} mm; half the radius at most: check --tool-radius and"
             " --length-unit, or leave the deeper samples out"
         )
-    force, depth, std = np.array([reading for _, reading in found]).T
+    force, depth, std = np.array([reading for _, reading in pokes]).T
     kept = {each.number for each in clear}
     used = sum(len(each.depth) for each in curves)
     return Pokes(

@@ -216,7 +216,7 @@ class PlacedPress:
 
 
 def write_recorded(
-    folder: Path, recording: Recording, found: Recorded, *, progress: Progress = silent
+    folder: Path, recording: Recording, recorded: Recorded, *, progress: Progress = silent
 ) -> tuple[PlacedPress, ...]:
     """Write a session folder and check it by reading it back.
 
@@ -224,7 +224,7 @@ def write_recorded(
     ----------
     folder : Path                   an existing, empty folder
     recording : Recording
-    found : Recorded
+    recorded : Recorded
     progress : callable             called with the current step (text) and the fraction done, 0..1
 
     Returns
@@ -243,21 +243,21 @@ def write_recorded(
     for file in recording.files:
         shutil.copyfile(file, folder / file.name)
     (folder / _PICTURES).mkdir()
-    frames = _write_pictures(folder / _PICTURES, recording, found, part_of(progress, 0.0, 0.6))
+    frames = _write_pictures(folder / _PICTURES, recording, recorded, part_of(progress, 0.0, 0.6))
     report = part_of(progress, 0.6, 1.0)
     model: ContactModel | None = None
     if recording.contact_source.points is None and recording.contact_source.poses is None:
         report("model of the object", 0.0)
         model = make_contact_model(recording.mesh, recording.held)
     placed = []
-    for k, press in enumerate(found.presses):
-        report(f"contact of {press.name}", k / len(found.presses))
+    for k, press in enumerate(recorded.presses):
+        report(f"contact of {press.name}", k / len(recorded.presses))
         frame_count = frames[_LOADED.format(name=press.name)]
-        placed.append(_place_press(folder, recording, press, model, frame_count, found))
+        placed.append(_place_press(folder, recording, press, model, frame_count, recorded))
         if placed[-1].series:
             write_text(folder / _SERIES.format(name=press.name), placed[-1].series)
     _write_session(folder, recording, placed)
-    write_text(folder / "presses.csv", _table(found, placed))
+    write_text(folder / "presses.csv", _table(recorded, placed))
     try:
         read_session(folder)
     except RecordError as error:
@@ -267,18 +267,18 @@ def write_recorded(
 
 
 def _write_pictures(
-    folder: Path, recording: Recording, found: Recorded, progress: Progress
+    folder: Path, recording: Recording, recorded: Recorded, progress: Progress
 ) -> dict[str, int]:
     """Write pictures at rest and under load of every camera; gives, for each picture, the least
     number of averaged frames over the cameras."""
     frames: dict[str, int] = {}
     count = len(recording.footage)
     for k, (footage, motion, clock) in enumerate(
-        zip(recording.footage, found.motions, found.clocks, strict=True)
+        zip(recording.footage, recorded.motions, recorded.clocks, strict=True)
     ):
         moments = {}
         half = 0.5 * MAX_FRAMES * motion.interval
-        for press in found.presses:
+        for press in recorded.presses:
             reading = press.reading
             span = max(reading.begin, reading.time - half), min(reading.end, reading.time + half)
             for name, (begin, end) in ((_REST, press.rest), (_LOADED, span)):
@@ -292,7 +292,7 @@ def _write_pictures(
 
 def _place_press(
     folder: Path, recording: Recording, press: Press, model: ContactModel | None, frames: int,
-    found: Recorded,
+    recorded: Recorded,
 ) -> PlacedPress:  # fmt: skip
     """Contact point of a press: given, from the log of poses, or from the surface's motion."""
     source, unit = recording.contact_source, recording.metres_per_unit
@@ -302,7 +302,7 @@ def _place_press(
     elif source.poses is not None:
         poses = read_poses(source.poses, metres_per_unit=unit, topic=source.topic)
         point, travel, travel_std = _tip_motion(poses, press.touch, press.reading)
-        series = _series(found, poses, press, point, unit)
+        series = _series(recorded, poses, press, point, unit)
     elif model is not None:
         point, std = _contact_from_motion(folder, recording, press, model)
     place = closest_points(recording.mesh, point[None])
@@ -383,33 +383,33 @@ def _probe(recording: Recording, placed: PlacedPress) -> dict[str, Any]:
     return table
 
 
-def _table(found: Recorded, placed: list[PlacedPress]) -> str:
+def _table(recorded: Recorded, placed: list[PlacedPress]) -> str:
     """CSV table with a line for each press, times on the gauge's clock."""
     rows = [_HEADINGS.split(",")]
     for placed_press in placed:
         press, reading = placed_press.press, placed_press.press.reading
         numbers = (
             press.touch.begin, press.touch.end, reading.begin, reading.end, reading.time,
-            *press.rest, *reading.force, *reading.std, reading.creep, hysteresis(found, press),
+            *press.rest, *reading.force, *reading.std, reading.creep, hysteresis(recorded, press),
             placed_press.frames, *placed_press.point, placed_press.point_std,
         )  # fmt: skip
         rows.append([str(press.number), press.name, *(f"{x:.6g}" for x in numbers)])
     return spreadsheet_text(rows)
 
 
-def hysteresis(found: Recorded, press: Press) -> float:
+def hysteresis(recorded: Recorded, press: Press) -> float:
     """Hysteresis of a press, the mean of `Clock.hysteresis` over the cameras.
 
     Parameters
     ----------
-    found : Recorded
+    recorded : Recorded
     press : Press
 
     Returns
     -------
     float [-]                       fraction of the full force; NaN if unknown for all cameras
     """
-    values = np.array([clock.hysteresis[press.number - 1] for clock in found.clocks])
+    values = np.array([clock.hysteresis[press.number - 1] for clock in recorded.clocks])
     known = values[np.isfinite(values)]
     return float(known.mean()) if len(known) else np.nan
 
@@ -510,16 +510,16 @@ def _tip_motion(poses: PoseLog, touch: Touch, reading: Reading) -> tuple[Vector3
 
 
 def _series(
-    found: Recorded, poses: PoseLog, press: Press, point: Vector3, metres_per_unit: float
+    recorded: Recorded, poses: PoseLog, press: Press, point: Vector3, metres_per_unit: float
 ) -> str:
     """`PlacedPress.series`: up to the end of the plateau, where the force or the tool is held."""
     begin, reading = press.touch.begin, press.reading
     if reading.end - reading.begin < _CREEPS * (reading.begin - begin):
         return ""
-    every = found.resampled.time
+    every = recorded.resampled.time
     used = (every > begin - _BEFORE) & (every <= min(reading.end, poses.time[-1]))
     time = every[used]
-    force = found.resampled.force[used] - found.zero.at(time)
+    force = recorded.resampled.force[used] - recorded.zero.at(time)
     if not np.isfinite(force).all():
         return ""
     tip = [np.interp(time, poses.time, part) for part in (poses.position - point).T]

@@ -189,28 +189,28 @@ def _gauge(table: TomlTable) -> Gauge:
 
 def _cameras(root: TomlTable, rig: Rig) -> tuple[Footage, ...]:
     """Footage of every camera of the rig."""
-    found: dict[str, Footage] = {}
+    cameras: dict[str, Footage] = {}
     names = [camera.name for camera in rig.cameras]
     for table in root.tables("camera"):
         table.check_keys(_CAMERA_KEYS)
         name = table.choice("name", names)
-        if name in found:
+        if name in cameras:
             table.fail("name", f"camera '{name}' is there twice")
         footage = _footage(table, name)
-        for other in found.values():
+        for other in cameras.values():
             if (footage.video, footage.pictures) == (other.video, other.pictures):
                 key = "video" if footage.video else "pictures"
                 table.fail(
                     key, f"cameras '{other.camera}' and '{name}' have the same; give each its own"
                 )
-        found[name] = footage
-    if missing := [name for name in names if name not in found]:
+        cameras[name] = footage
+    if missing := [name for name in names if name not in cameras]:
         root.fail(
             "[[camera]]",
             f"the rig's cameras {', '.join(missing)} have no table; give each its video or pictures"
             " (or a rig without them)",
         )
-    return tuple(found[name] for name in names)
+    return tuple(cameras[name] for name in names)
 
 
 def _footage(table: TomlTable, name: str) -> Footage:

@@ -181,7 +181,7 @@ def find_touches(resampled: ResampledForce) -> tuple[tuple[Touch, ...], int]:
     zero, limit = _initial_zero(time, force, resampled.noise)
     settled_steps = max(1, round(_MIN_STATE_SECONDS / resampled.step))
     weight = min(resampled.step / _ZERO_TIME_CONSTANT, 1.0)
-    found: list[Touch] = []
+    touches: list[Touch] = []
     knocks, begin, peak, count = 0, -1, 0.0, 0
     for k, value in enumerate(force):
         size = float(np.linalg.norm(value - zero))
@@ -199,13 +199,13 @@ def find_touches(resampled: ResampledForce) -> tuple[tuple[Touch, ...], int]:
         count = count + 1 if low else 0
         if count >= settled_steps:
             touch = Touch(float(time[begin]), float(time[k - settled_steps + 1]), peak, True)
-            knocks += _add_unless_knock(found, touch, limit)
+            knocks += _add_unless_knock(touches, touch, limit)
             zero, begin, count = force[k - settled_steps + 1 : k + 1].mean(axis=0), -1, 0
     if begin >= 0:
         knocks += _add_unless_knock(
-            found, Touch(float(time[begin]), float(time[-1]), peak, False), limit
+            touches, Touch(float(time[begin]), float(time[-1]), peak, False), limit
         )
-    return tuple(found), knocks
+    return tuple(touches), knocks
 
 
 def _initial_zero(
@@ -225,11 +225,11 @@ def _initial_zero(
     return zero, max(_BEGIN_SIGMAS * max(noise, scatter), _BEGIN_FRACTION * largest)
 
 
-def _add_unless_knock(found: list[Touch], touch: Touch, limit: float) -> bool:
+def _add_unless_knock(touches: list[Touch], touch: Touch, limit: float) -> bool:
     """Add a touch if it is a press; True if it is a knock."""
     if touch.end - touch.begin < _MIN_TOUCH_SECONDS or touch.peak < _MIN_TOUCH_PEAK * limit:
         return True
-    found.append(touch)
+    touches.append(touch)
     return False
 
 

@@ -38,6 +38,7 @@ from palpate.records.estimate import (
     SupportEstimate as SupportEstimate,
 )
 from palpate.records.files.displacement import (
+    displacement_text as displacement_text,
     read_displacement as read_displacement,
     write_displacement as write_displacement,
 )
@@ -57,9 +58,7 @@ from palpate.records.files.results import (
     folder_changes as folder_changes,
     parts_folder as parts_folder,
     record_inputs as record_inputs,
-    result_file as result_file,
     result_folder as result_folder,
-    sealed as sealed,
     session_files as session_files,
     sums_in as sums_in,
     sums_text as sums_text,

@@ -126,8 +126,8 @@ def read_error_priors(
     ------
     RecordError                     an unknown key, not a number, an unknown unit, out of range
     """
-    found: dict[str, Any] = {"length_scale": 0.0} if calibrated else {}
-    found["contact_points"] = _contact_points(root, metres_per_unit)
+    priors: dict[str, Any] = {"length_scale": 0.0} if calibrated else {}
+    priors["contact_points"] = _contact_points(root, metres_per_unit)
     table = root.optional("errors", root.table) or TomlTable(root.file, "", {})
     table.check_keys(
         (*_FRACTION_KEYS, "force_direction", "contact_point", "pose", *_COMPLIANCE_KEYS)
@@ -135,19 +135,19 @@ def read_error_priors(
     fractions = [key for key in _FRACTION_KEYS if key in table.values]
     if isinstance(table.values.get("force_gain"), dict):
         fractions.remove("force_gain")
-        found["force_gains"] = _force_gains(root, table)
-    found |= {key: table.quantity(key, _FRACTION_UNITS, 1.0) for key in fractions}
+        priors["force_gains"] = _force_gains(root, table)
+    priors |= {key: table.quantity(key, _FRACTION_UNITS, 1.0) for key in fractions}
     if "force_direction" in table.values:
-        found["force_direction"] = table.quantity("force_direction", ANGLE_UNITS)
+        priors["force_direction"] = table.quantity("force_direction", ANGLE_UNITS)
     if "contact_point" in table.values:
-        found["contact_point"] = table.quantity("contact_point", LENGTH_UNITS, metres_per_unit)
+        priors["contact_point"] = table.quantity("contact_point", LENGTH_UNITS, metres_per_unit)
     if "support_compliance" in table.values:
-        found["support_compliance"] = table.quantity("support_compliance", COMPLIANCE_UNITS, 1.0)
+        priors["support_compliance"] = table.quantity("support_compliance", COMPLIANCE_UNITS, 1.0)
     if "tool_compliance" in table.values:
-        found["tool_compliance"] = table.quantity("tool_compliance", _TOOL_UNITS, 1.0)
-    found |= _pose(table, metres_per_unit)
+        priors["tool_compliance"] = table.quantity("tool_compliance", _TOOL_UNITS, 1.0)
+    priors |= _pose(table, metres_per_unit)
     with table.error_context():
-        return ErrorPriors(**found)
+        return ErrorPriors(**priors)
 
 
 def _force_gains(root: TomlTable, errors: TomlTable) -> dict[str, float]:
@@ -169,14 +169,14 @@ def _force_gains(root: TomlTable, errors: TomlTable) -> dict[str, float]:
 
 def _contact_points(root: TomlTable, metres_per_unit: float) -> dict[str, float]:
     """Standard deviations of contact points that single probings give, [m] by name."""
-    found = {}
+    priors = {}
     for probe in root.optional("probe", root.tables) or ():
         contact = probe.values.get("contact")
         if isinstance(contact, dict) and "point_std" in contact:
             name = probe.text("name")
             table = TomlTable(root.file, f"[[probe]] '{name}' contact", contact)
-            found[name] = table.quantity("point_std", LENGTH_UNITS, metres_per_unit)
-    return found
+            priors[name] = table.quantity("point_std", LENGTH_UNITS, metres_per_unit)
+    return priors
 
 
 def _pose(table: TomlTable, metres_per_unit: float) -> Mapping[str, float]:
@@ -184,9 +184,9 @@ def _pose(table: TomlTable, metres_per_unit: float) -> Mapping[str, float]:
     if pose is None:
         return {}
     pose.check_keys(("translation", "rotation"))
-    found = {}
+    priors = {}
     if "translation" in pose.values:
-        found["pose_translation"] = pose.quantity("translation", LENGTH_UNITS, metres_per_unit)
+        priors["pose_translation"] = pose.quantity("translation", LENGTH_UNITS, metres_per_unit)
     if "rotation" in pose.values:
-        found["pose_rotation"] = pose.quantity("rotation", ANGLE_UNITS)
-    return found
+        priors["pose_rotation"] = pose.quantity("rotation", ANGLE_UNITS)
+    return priors

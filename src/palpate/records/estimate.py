@@ -25,9 +25,9 @@ CONSTANT_NAMES = ("shear_modulus", "poisson_ratio", "young_modulus")
 
 _SUFFIX = "_not_identifiable"
 _TANGENTIAL_CURE = (
-    "observe displacement vectors with all three components near the contact (a few contact radii"
-    " away), or probe at more points, on steep slopes too: force and normal displacement alone"
-    " determine only G / (1 - nu)"
+    "measure displacement vectors with all three components, close beside a tool that presses or"
+    " across the pull between grips, or push at more points, on steep slopes too: force and normal"
+    " displacement alone determine only G / (1 - nu)"
 )
 _SCALE_CURE = (
     "press harder (within small deformation), measure more points nearer to the contact, or repeat"

@@ -133,7 +133,7 @@ def in_metres(
                                     units
     """
     metres, unit_notes = _metres(
-        path, found=given.unit, given=length_unit, default_unit=default_unit
+        path, file_unit=given.unit, given=length_unit, default_unit=default_unit
     )
     moved = np.where(np.isinf(given.displacement), np.nan, given.displacement)
     points = np.where(np.isinf(given.points), np.nan, given.points)
@@ -184,7 +184,7 @@ def _check_measured(path: Path, moved: Points, failed: Flags, low_score_text: st
 
 
 def _metres(
-    path: Path, *, found: str | None, given: str | None, default_unit: str | None
+    path: Path, *, file_unit: str | None, given: str | None, default_unit: str | None
 ) -> tuple[float, tuple[str, ...]]:
     """Length of a file's unit [m], and notes on what was assumed.
 
@@ -192,11 +192,11 @@ def _metres(
     unknown unit, a contradiction, or none at all is refused.
     """
     names = " ".join(LENGTH_UNITS)
-    stated = unit_name(found) if found else None
+    stated = unit_name(file_unit) if file_unit else None
     if stated is not None and stated not in LENGTH_UNITS:
         raise RecordError(
-            f"{path}: its lengths are in '{found}'; known units are {names}: export it in one of"
-            " them (pixels are no lengths: a stereo result is needed)"
+            f"{path}: its lengths are in '{file_unit}'; known units are {names}: export it in one"
+            " of them (pixels are no lengths: a stereo result is needed)"
         )
     if given is not None and given not in LENGTH_UNITS:
         raise RecordError(f"--length-unit is '{given}'; must be one of {names}")

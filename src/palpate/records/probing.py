@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array, diags_array, hstack
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from palpate.arrays import fix_fields
@@ -137,8 +137,16 @@ class SurfaceAverage:
     def averaging_matrix(self) -> csr_array:
         """Matrix from displacements of the n measured points, then of the s sampling points, to the
         averaged displacements; (3 n, 3 (n + s)) sparse."""
-        alone = np.repeat(~self.has_weights, 3).astype(np.float64)
-        return csr_array(hstack([diags_array(alone), self.weights.astype(np.float64)]))
+        alone, counts = np.repeat(~self.has_weights, 3), np.diff(self.weights.indptr)
+        # A row holds its weights, or a one at the point itself.
+        is_one = np.repeat(alone, np.where(alone, 1, counts))
+        data, indices = np.ones(is_one.size), np.empty(is_one.size, self.weights.indices.dtype)
+        data[~is_one] = self.weights.data
+        indices[~is_one] = len(alone) + self.weights.indices
+        indices[is_one] = np.flatnonzero(alone)
+        ends = np.append(0, np.cumsum(np.where(alone, 1, counts)))
+        shape = len(alone), len(alone) + self.weights.shape[1]
+        return csr_array((data, indices, ends), shape=shape)
 
     def subset(self, rows: Indices) -> "SurfaceAverage":
         """Restrict to a subset of the measured displacements.

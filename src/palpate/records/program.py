@@ -107,8 +107,8 @@ class CalibrationFile:
                 " target were given in"
             )
         if unit not in FILE_LENGTH_UNITS:
-            found = not_allowed(unit, tuple(FILE_LENGTH_UNITS))
-            raise InputError(f"{self.path}: length_unit is {found}")
+            wrong = not_allowed(unit, tuple(FILE_LENGTH_UNITS))
+            raise InputError(f"{self.path}: length_unit is {wrong}")
         return FILE_LENGTH_UNITS[unit]
 
     def numbers(self, what: str, values: Any, shape: tuple[int, ...] | None) -> np.ndarray:

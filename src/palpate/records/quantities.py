@@ -250,8 +250,10 @@ def law_rows(estimate: Estimate) -> list[tuple[str, str, str, str]]:
     list of four str                what; value; 95 % interval; unit
     """
     rows, load = [], estimate.load
-    if (found := estimate.stiffening) is not None:
-        rows.append(("stiffening C2 / C1", constant_text(found), interval_text(found), "-"))
+    if (stiffening := estimate.stiffening) is not None:
+        rows.append(
+            ("stiffening C2 / C1", constant_text(stiffening), interval_text(stiffening), "-")
+        )
     if load is not None:
         symbol, values, unit = _at_loads(estimate, load)
         for value, force in zip(values, load.force, strict=True):
@@ -448,10 +450,10 @@ def quantity(value: Quantity, units: Mapping[str, float], name: str = "the numbe
     ------
     InputError                      not a number, an unknown unit, not finite
     """
-    found = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
-    if found:
-        unit = _ALIASES.get(found[2], found[2]) or next(u for u in units if units[u] == 1.0)
-        if unit in units and math.isfinite(number := float(found[1]) * units[unit]):
+    match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    if match:
+        unit = _ALIASES.get(match[2], match[2]) or next(u for u in units if units[u] == 1.0)
+        if unit in units and math.isfinite(number := float(match[1]) * units[unit]):
             return number
     elif isinstance(value, Real) and math.isfinite(float(value)):
         return float(value)

@@ -126,9 +126,9 @@ class Reciprocity:
                 f"The larger the force, the {more} it moves than in proportion, by"
                 f" {100.0 * abs(self.growth.excess):.2g} % at the largest: {means}."
             )
-        found = {push.name: push for push in self.pushes}
+        excess_of = {push.name: push for push in self.pushes}
         if len(self.odd) == 1 and not self.grows:
-            push = found[self.odd[0]]
+            push = excess_of[self.odd[0]]
             side = "more" if push.excess > 0.0 else "less"
             return (
                 f"It is {push.name}: {100.0 * abs(push.excess):.3g} %"

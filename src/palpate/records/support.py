@@ -87,13 +87,13 @@ def _orthonormal(directions: Float[np.ndarray, "d 3"]) -> Float[np.ndarray, "d 3
             "directions has no direction, or one that is zero; give one or two that are held, e.g."
             " [[0, 0, 1]], or leave the key out: then all are"
         )
-    _, size, found = np.linalg.svd(given / length, full_matrices=False)
+    _, size, rotation = np.linalg.svd(given / length, full_matrices=False)
     if len(given) > 3 or size[-1] < _SAME_DIRECTION:
         raise InputError(
             "directions holds one direction twice, or one that follows from the others; give each"
             " once"
         )
-    return None if len(given) == 3 else fixed_array(found, name="directions", shape=(None, 3))
+    return None if len(given) == 3 else fixed_array(rotation, name="directions", shape=(None, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -365,7 +365,7 @@ def listed_triangles(table: TomlTable, count: int) -> Indices:
     RecordError                     no such file, or a line that is not an index; names file, line
     """
     path = table.existing_file("triangles")
-    found = []
+    triangles = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         word = line.partition("#")[0].strip()
         if not word:
@@ -375,5 +375,5 @@ def listed_triangles(table: TomlTable, count: int) -> Indices:
                 f"{path}: line {number}: {quoted(word)} is not a triangle of the mesh;"
                 f" must be a whole number from 0 to {count - 1}"
             )
-        found.append(int(word))
-    return np.array(found, dtype=np.int64)
+        triangles.append(int(word))
+    return np.array(triangles, dtype=np.int64)

@@ -125,10 +125,10 @@ class CreepCompliance:
         -------
         (n,) float
         """
-        found = self.instantaneous * force
+        response = self.instantaneous * force
         for term, constant in zip(self.terms, self.times, strict=True):
-            found = found + term * (force - memory(time, force, constant)[0])
-        return found
+            response = response + term * (force - memory(time, force, constant)[0])
+        return response
 
     def relaxation(self) -> RelaxationModulus:
         """The modulus whose convolution with this compliance is the time: exact, all terms >= 0.

@@ -104,8 +104,8 @@ class CreepFit:
         """Motion at all knots of one of the motions, in its unit."""
         motion = self.motions[number]
         *_, scale = _split(self.theta, self.terms, len(self.motions))
-        found = _compliance(self.theta, self.terms).response(motion.time, motion.force)
-        return scale[number] * found
+        response = _compliance(self.theta, self.terms).response(motion.time, motion.force)
+        return scale[number] * response
 
     def logarithm(
         self, quantity: Callable[[CreepCompliance], Float[np.ndarray, " q"]]
@@ -227,11 +227,11 @@ def _best(
 ) -> np.ndarray:
     """The parameters that fit best with some number of terms."""
     target = np.concatenate([each.amplitude / each.std for each in motions])
-    found = [
+    best = [
         (*nnls(columns[:, (0, *(1 + k for k in chosen))], target)[::-1], list(chosen))
         for chosen in combinations(range(len(grid)), terms)
     ]
-    _, amplitude, chosen = min(found, key=lambda each: each[0])
+    _, amplitude, chosen = min(best, key=lambda each: each[0])
     total = float(np.log(max(amplitude.sum(), np.finfo(float).tiny)))
     low = np.full(1 + 2 * terms + len(motions) - 1, total + _LOG_RANGE[0])
     high = low + _LOG_RANGE[1] - _LOG_RANGE[0]
@@ -242,11 +242,11 @@ def _best(
     # A term that starts at nothing would have no slope to grow along.
     start[: 1 + terms] = np.log(np.maximum(amplitude, 1e-3 * amplitude.sum()))
     start[times] = np.log(grid[chosen])
-    found = least_squares(
+    best = least_squares(
         _residual, start, _derivative, bounds=(low, high), args=(terms, motions), xtol=1e-8,
         ftol=1e-9, max_nfev=60,
     )  # fmt: skip
-    return np.asarray(found.x)
+    return np.asarray(best.x)
 
 
 def _residual(theta: np.ndarray, terms: int, motions: Sequence[Motion]) -> np.ndarray:

@@ -173,7 +173,7 @@ def _pictures(folder: Path, names: list[str]) -> tuple[dict[str, str], int]:
     """Pictures of the probings as data URLs, in the order of `names`, and the number of those left
     out for lack of room."""
     order = {stem: k for k, stem in enumerate(file_stems(names, kind="probing"))}
-    found: dict[str, str] = {}
+    pictures: dict[str, str] = {}
     size = 0
     every = (folder / "displacement").glob("*.png")
     files = sorted(every, key=lambda file: (order.get(file.stem, math.inf), file.name))
@@ -188,9 +188,9 @@ def _pictures(folder: Path, names: list[str]) -> tuple[dict[str, str], int]:
         text = base64.b64encode(packed.getvalue()).decode()
         size += len(text)
         if size > _MOST_BYTES:
-            return found, len(files) - number
-        found[file.stem] = "data:image/webp;base64," + text
-    return found, 0
+            return pictures, len(files) - number
+        pictures[file.stem] = "data:image/webp;base64," + text
+    return pictures, 0
 
 
 def write_result_files(folder: Path, session: Session, result: FitResult) -> Estimate:
@@ -231,11 +231,11 @@ def write_result_files(folder: Path, session: Session, result: FitResult) -> Est
 
 def _relaxation(estimate: Estimate) -> dict[str, Any] | None:
     """The modulus over time: rows of its table, and what is said of it."""
-    found = estimate.relaxation
-    if found is None:
+    relaxation = estimate.relaxation
+    if relaxation is None:
         return None
-    remarks = [_with_greek(each) for each in found.remarks]
-    return {"rows": relaxation_rows(found), "age": f"{found.age:.3g}", "remarks": remarks}
+    remarks = [_with_greek(each) for each in relaxation.remarks]
+    return {"rows": relaxation_rows(relaxation), "age": f"{relaxation.age:.3g}", "remarks": remarks}
 
 
 def _with_greek(text: str) -> str:

@@ -37,7 +37,7 @@ def scene(surface: FittedSurface) -> dict[str, Any]:
     held[surface.held] = 1
     mesh = TriangleMesh(surface.vertices, surface.triangles)
     direction = _direction(surface, mesh)
-    found: dict[str, Any] = {
+    content: dict[str, Any] = {
         "radius": float(np.linalg.norm(vertices, axis=1).max()),
         "azimuth": float(np.arctan2(direction[1], direction[0])),
         "elevation": float(np.arcsin(direction[2])),
@@ -48,14 +48,14 @@ def scene(surface: FittedSurface) -> dict[str, Any]:
         "held": _text(held),
         "probings": [],
     }
-    size = sum(_size(value) for value in found.values())
+    size = sum(_size(value) for value in content.values())
     for probing in surface.probings:
         shown = _probing(probing, centre, mesh)
         size += sum(_size(value) for value in shown.values())
-        if size > _MOST_BYTES and found["probings"]:
+        if size > _MOST_BYTES and content["probings"]:
             break
-        found["probings"].append(shown)
-    return found | {"left_out": len(surface.probings) - len(found["probings"])}
+        content["probings"].append(shown)
+    return content | {"left_out": len(surface.probings) - len(content["probings"])}
 
 
 def in_sigmas(probing: FittedProbing) -> PointScalars:

@@ -140,13 +140,13 @@ def _without_copies(vertices: Vertices, triangles: Triangles, actions: list[Acti
 def _record(
     actions: list[Action],
     what: str,
-    found: Bool[np.ndarray, " m"],
+    defective: Bool[np.ndarray, " m"],
     corner: Float[np.ndarray, "m 3 3"],
     done: str,
 ) -> None:
-    if found.any():
-        place = corner[np.flatnonzero(found)[0]].mean(axis=0)
-        actions.append(Action(what, int(found.sum()), place, done))
+    if defective.any():
+        place = corner[np.flatnonzero(defective)[0]].mean(axis=0)
+        actions.append(Action(what, int(defective.sum()), place, done))
 
 
 def _sewn(vertices: Vertices, triangles: Triangles, reach: float, actions: list[Action]) -> Faces:
@@ -202,7 +202,7 @@ def _splits(
     if len(rim) == 0:
         return []
     tree = cKDTree(vertices[rim])
-    found: dict[int, tuple[int, int, list[int]]] = {}
+    splits: dict[int, tuple[int, int, list[int]]] = {}
     for half in np.flatnonzero(halves.count[halves.edge] == 1):
         a, b = int(halves.tail[half]), int(halves.tail[halves.following[half]])
         along = vertices[b] - vertices[a]
@@ -212,10 +212,10 @@ def _splits(
         t = (vertices[near] - vertices[a]) @ along / length**2
         gap = np.linalg.norm(vertices[a] + t[:, None] * along - vertices[near], axis=1)
         within = (gap <= reach) & (t > 0.0) & (t < 1.0)
-        if within.any() and half // 3 not in found:
+        if within.any() and half // 3 not in splits:
             between = near[within][np.argsort(t[within])].tolist()
-            found[int(half // 3)] = (int(half // 3), int(half % 3), between)
-    return list(found.values())
+            splits[int(half // 3)] = (int(half // 3), int(half % 3), between)
+    return list(splits.values())
 
 
 def pieces(triangles: Triangles) -> Int[np.ndarray, " m"]:
@@ -264,9 +264,9 @@ def oriented(mesh: TriangleMesh) -> tuple[TriangleMesh, Bool[np.ndarray, " m"]]:
 def _consistent(mesh: TriangleMesh) -> tuple[Triangles, Int[np.ndarray, " m"]]:
     """Triangles oriented consistently across edges of two, and the patch number of each."""
     igl = late_import("igl", extra="surface", purpose=_PURPOSE)
-    found, patch = igl.bfs_orient(mesh.triangles)
+    oriented, patch = igl.bfs_orient(mesh.triangles)
     # libigl's 64-bit integer type is not NumPy's int64.
-    triangles = found.astype(np.int64)
+    triangles = oriented.astype(np.int64)
     halves = half_edges(triangles)
     a, b = halves.pairs().T
     clash = np.flatnonzero(halves.tail[a] == halves.tail[b])

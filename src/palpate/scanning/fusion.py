@@ -90,13 +90,13 @@ def fused(points: Points, normals: Points, *, support: Plane | None = None) -> T
         abs(field) < min_distance, np.where(field < 0.0, -min_distance, min_distance), field
     )
     igl = late_import("igl", extra="surface", purpose="joining scans")
-    found = igl.marching_cubes(field, node, *count, 0.0)
-    if len(found[1]) == 0:
+    surface = igl.marching_cubes(field, node, *count, 0.0)
+    if len(surface[1]) == 0:
         raise MeshError(
             "no surface closes around the points; do their normals point outward? The viewpoint of"
             " every view must be outside the object"
         )
-    skin = largest_piece(compacted(np.asarray(found[0]), found[1].astype(np.int64)))
+    skin = largest_piece(compacted(np.asarray(surface[0]), surface[1].astype(np.int64)))
     size = np.full(len(skin.vertices), _EDGE * cell)
     return adapted(skin, size, creases=False)
 

@@ -119,15 +119,15 @@ def _one_solid(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
         if parts:
             whole, actions = united(parts)
             return checked_mesh(whole)[0], actions
-    found = checked_mesh(wrapped(mesh))[0]
-    gap = distances(found.vertices, mesh)
+    solid = checked_mesh(wrapped(mesh))[0]
+    gap = distances(solid.vertices, mesh)
     if float(gap.max()) > 0.05 * bounding_diagonal(mesh):
         raise MeshError(
             f"{reason}; what it winds around is {1e3 * gap.max():.3g} mm off it near"
-            f" {place_text(found.vertices[gap.argmax()])}"
+            f" {place_text(solid.vertices[gap.argmax()])}"
         ) from reason
     place = _first_crossing(mesh)
-    return found, [Action("self-intersection", 1, place, "the outer skin found anew on a grid")]
+    return solid, [Action("self-intersection", 1, place, "the outer skin found anew on a grid")]
 
 
 def _first_crossing(mesh: TriangleMesh) -> Vector3:

@@ -99,16 +99,16 @@ def _pair_pose(first: View, second: View, a: _Cloud, b: _Cloud, *, guess: Pose) 
     centre = few.points.mean(axis=0)
     turns = (np.radians(angle) * axis for axis in _axes() for angle in _TURNS)
     starts = [guess, *(_motion(turn, np.zeros(3), centre) for turn in turns)]
-    costs, found = [], []
+    costs, poses = [], []
     for start in starts:
         pose = start
         for width in size * np.geomspace(0.1, 0.01, _COARSE_STEPS):
             pose = _stepped(a, few, pose, width)
         costs.append(_cost(a, few, pose, 0.01 * size))
-        found.append(pose)
+        poses.append(pose)
         if start is guess and not np.array_equal(guess, np.eye(4)) and costs[0] < 0.35:
             break
-    pose = found[int(np.argmin(costs))]
+    pose = poses[int(np.argmin(costs))]
     for width in np.geomspace(0.01 * size, _WIDTH * max(a.sigma, b.sigma), _FINE_STEPS):
         pose = _stepped(a, b, pose, width)
     overlap = _overlap(a, b, pose)

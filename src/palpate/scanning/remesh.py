@@ -97,9 +97,11 @@ def remeshed(
     base = _base(mesh, edge, near, keep)
     tries, scale = [], 1.0
     for _ in range(_TRIES):
-        found = adapted(base, scale * _sizes(base.vertices, edge, near), surface=mesh, **keep)
-        off = len(found.vertices) / vertices
-        tries.append((abs(off - 1.0), found))
+        adapted_mesh = adapted(
+            base, scale * _sizes(base.vertices, edge, near), surface=mesh, **keep
+        )
+        off = len(adapted_mesh.vertices) / vertices
+        tries.append((abs(off - 1.0), adapted_mesh))
         if abs(off - 1.0) < _CLOSE:
             break
         scale *= np.sqrt(off)
@@ -110,11 +112,11 @@ def remeshed(
         reason = error
     # A slightly finer or coarser mesh may not have the fold.
     for factor in _OTHERWISE:
-        found = adapted(
+        adapted_mesh = adapted(
             base, factor * scale * _sizes(base.vertices, edge, near), surface=mesh, **keep
         )
         with suppress(MeshError):
-            return _accepted(found)
+            return _accepted(adapted_mesh)
     raise reason
 
 

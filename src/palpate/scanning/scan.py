@@ -126,7 +126,7 @@ def scan_surface(
     MeshError                       the surface does not close, or needs more triangles
     """
     views = posed(views, progress=part_of(progress, 0.0, 0.3))
-    found = _agreements(views)
+    agreements = _agreements(views)
     points = np.concatenate([view.points for view in views])
     normals = np.concatenate([view.normals for view in views])
     sigma = np.concatenate([view.sigma for view in views])
@@ -157,7 +157,7 @@ def scan_surface(
         mesh=mesh,
         sigma=std,
         guessed=_guessed(mesh, points),
-        agreements=found,
+        agreements=agreements,
         views=tuple(views),
         distance=(float(np.median(gap)), float(np.quantile(gap, 0.95))),
         volume_std=_volume_std(mesh, std),
@@ -218,8 +218,8 @@ def _agreements(views: Sequence[View]) -> tuple[Agreement, ...]:
         return (Agreement(views[0].name, len(views[0].points), 0.0, 0.0),)
     everything = np.concatenate([view.points for view in views])
     size = float(np.linalg.norm(np.ptp(everything, axis=0)))
-    found = tuple(_agreement(views, k, _NEAR * size) for k in range(len(views)))
-    for one, view in zip(found, views, strict=True):
+    agreements = tuple(_agreement(views, k, _NEAR * size) for k in range(len(views)))
+    for one, view in zip(agreements, views, strict=True):
         if one.overlap < _OVERLAP:
             raise InputError(
                 f"view '{one.name}' shows {100.0 * one.overlap:.0f} % of what others show, too"
@@ -234,7 +234,7 @@ def _agreements(views: Sequence[View]) -> tuple[Agreement, ...]:
                 " in the noise; the object moved between the views, or its pose is wrong: leave it"
                 " out, or leave all poses out to have them estimated"
             )
-    return found
+    return agreements
 
 
 def _agreement(views: Sequence[View], k: int, near: float) -> Agreement:

@@ -274,16 +274,16 @@ def _stereo_view(table: TomlTable, setup: _Setup, pose: Pose | None) -> tuple[Vi
         table.fail("images", "need a [rig] with its cameras")
     pattern = table.text("images")
     read = read_pictures(setup.rig, pattern, folder=setup.folder, what=f"view '{pattern}'")
-    found = stereo_points(prepare_pictures(setup.rig, read.grey))
+    points = stereo_points(prepare_pictures(setup.rig, read.grey))
     reference = setup.rig.cameras[setup.rig.reference]
     files = [setup.folder / pattern.replace("{camera}", c.name) for c in setup.rig.cameras]
     view = make_view(
-        pattern.replace("{camera}", reference.name), found.point, eye=camera_centre(reference),
+        pattern.replace("{camera}", reference.name), points.point, eye=camera_centre(reference),
         pose=pose,
     )  # fmt: skip
-    along = np.einsum("na,nab,nb->n", view.normals, found.covariance, view.normals)
+    along = np.einsum("na,nab,nb->n", view.normals, points.covariance, view.normals)
     # The noise of overlapping windows is correlated up to their width.
-    width = StereoSettings().subset * float(np.median(found.spacing)) / found.step
+    width = StereoSettings().subset * float(np.median(points.spacing)) / points.step
     return replace(view, sigma=np.sqrt(along), correlation_length=width), files
 
 

@@ -93,8 +93,8 @@ def wrapped(mesh: TriangleMesh) -> TriangleMesh:
     # If the surface passed through a node, triangles there would have no area.
     gap = np.maximum(distances(place, mesh), _MIN_DISTANCE * cell)
     signed = np.where(inside, -1.0, 1.0) * gap
-    found = igl.marching_cubes(signed, place, *(len(side) for side in sides), 0.0)
-    skin = compacted(np.asarray(found[0]), found[1].astype(np.int64))
+    surface = igl.marching_cubes(signed, place, *(len(side) for side in sides), 0.0)
+    skin = compacted(np.asarray(surface[0]), surface[1].astype(np.int64))
     # Steps of the grid must not be kept as creases below.
     skin = largest_piece(skin)
     size = np.full(len(skin.vertices), _EDGE * cell)
@@ -170,6 +170,6 @@ def _solid(mesh: TriangleMesh) -> Any:
 
 
 def _mesh(solid: Any) -> TriangleMesh:
-    found = solid.to_mesh64()
-    vertices = np.array(found.vert_properties[:, :3], dtype=np.float64)
-    return compacted(vertices, found.tri_verts.astype(np.int64))
+    mesh = solid.to_mesh64()
+    vertices = np.array(mesh.vert_properties[:, :3], dtype=np.float64)
+    return compacted(vertices, mesh.tri_verts.astype(np.int64))

@@ -502,9 +502,9 @@ def read_green_functions(path: Path | str) -> GreenFunctions:
 
 
 def _green_functions(path: Path, content: dict[str, np.ndarray]) -> GreenFunctions:
-    found = str(content.get("format", ""))
-    if found != GREENS_FORMAT:
-        raise RecordError(f"{path}: format is '{found}'; this version reads '{GREENS_FORMAT}'")
+    stated = str(content.get("format", ""))
+    if stated != GREENS_FORMAT:
+        raise RecordError(f"{path}: format is '{stated}'; this version reads '{GREENS_FORMAT}'")
     if missing := sorted(_KEYS - set(content)):
         raise RecordError(f"{path}: the array '{missing[0]}' is missing")
     if str(content.pop("sha256")) != _digest(content):

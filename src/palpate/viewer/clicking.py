@@ -4,9 +4,7 @@ Support and contacts are set in a draft that is written into session.toml. A bal
 object at a chosen point gives its force, and the surface displacement.
 """
 
-import os
 from dataclasses import dataclass, field, replace
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from palpate.contact import ContactState, PlacedTool
-from palpate.disk import atomic_replacement
+from palpate.disk import atomic_replacement, free_name, new_files
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, closest_points, unit_normals
 from palpate.records import Session, Sphere, read_session, read_text
@@ -29,7 +27,7 @@ from palpate.simulation import (
     touch,
 )
 
-_SUPPORT_FILE = "support_triangles{}.txt"
+_SUPPORT_FILE = "support_triangles.txt"
 _SELECTORS = ("plane", "box", "triangles")
 # Least cosine between the normals of a flat face's triangles.
 _FLAT = 0.985
@@ -120,9 +118,13 @@ def draft_files(session: Session, draft: Draft) -> tuple[Path, ...]:
         raise InputError("nothing was set; click on the object first")
     if draft.support is None:
         return (session.path,)
-    names = (_SUPPORT_FILE.format(f"_{k}" if k > 1 else "") for k in count(1))
-    files = (session.path.with_name(name) for name in names)
-    return next(file for file in files if not os.path.lexists(file)), session.path
+    return free_name(*_support_list(session, draft.support)), session.path
+
+
+def _support_list(session: Session, triangles: Indices) -> tuple[Path, bytes]:
+    """The file of held triangles: the name that is wanted, and its content."""
+    content = "".join(f"{row}\n" for row in triangles)
+    return session.path.with_name(_SUPPORT_FILE), content.encode()
 
 
 def write_draft(session: Session, draft: Draft) -> Session:
@@ -145,17 +147,14 @@ def write_draft(session: Session, draft: Draft) -> Session:
     InputError                      no changes; several supports, or a contact without a point
     RecordError                     the new session is invalid, or cannot be written
     """
-    files, text = draft_files(session, draft), read_text(session.path)
-    with atomic_replacement(files) as staged:
+    draft_files(session, draft)
+    text, support_file = read_text(session.path), ""
+    with new_files(session.path) as write, atomic_replacement(session.path) as staged:
         if draft.support is not None:
-            staged[0].write_text("".join(f"{row}\n" for row in draft.support), encoding="utf-8")
-        # Readable with the name that the list of triangles has so far, then with its final one.
-        trial, final = (
-            session_text(text, session, draft, each[0].name) for each in (staged, files)
-        )
-        staged[-1].write_text(trial, encoding="utf-8", newline="")
-        read_session(staged[-1], observations=False)
-        staged[-1].write_text(final, encoding="utf-8", newline="")
+            support_file = write(*_support_list(session, draft.support)).name
+        new = session_text(text, session, draft, support_file)
+        staged.write_text(new, encoding="utf-8", newline="")
+        read_session(staged, observations=False)
     return read_session(session.path, observations=False)
 
 

@@ -341,12 +341,12 @@ def merged_labels(
                 break
         else:
             places.append((start, [name]))
-    found = []
+    labels = []
     for place, names in places:
         more = f" and {len(names) - 1} more" if len(names) > 1 else ""
         label = next((text for name in names if (text := starts[name][1])), names[0])
-        found.append((label + more, place))
-    return found
+        labels.append((label + more, place))
+    return labels
 
 
 def direction_of(subject: Subject) -> Vector3:

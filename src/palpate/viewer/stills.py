@@ -113,7 +113,7 @@ def write_screenshot(subject: Subject, path: Path, *, probe: str | None = None) 
     shown = _shown(subject, probe)
     direction = direction_of(subject)
     pixels = _pixels(shown, direction, _reach(shown, [direction]))
-    with atomic_replacement([path]) as (partial,), write_errors(path):
+    with atomic_replacement(path) as partial, write_errors(path):
         form = "PNG" if path.suffix.lower() == ".png" else "JPEG"
         Image.fromarray(pixels).save(partial, form)
 
@@ -143,7 +143,7 @@ def write_turntable(
     for number, direction in enumerate(directions):
         progress("turntable", number / _VIEWS)
         views.append(_pixels(shown, direction, reach))
-    with atomic_replacement([path]) as (partial,), write_errors(path):
+    with atomic_replacement(path) as partial, write_errors(path):
         write: Callable[[Path, list[np.ndarray]], None]
         write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
         write(partial, views)
@@ -307,9 +307,9 @@ def _write_mp4(path: Path, views: list[np.ndarray]) -> None:
                 for view in views:
                     film.write(np.ascontiguousarray(view[:rows, :columns, ::-1]))
                 film.release()
-                found = _frame_count(film_path)
-                if found != len(views):
-                    raise OSError(f"{found} of the film's {len(views)} pictures were written")
+                written = _frame_count(film_path)
+                if written != len(views):
+                    raise OSError(f"{written} of the film's {len(views)} pictures were written")
                 film_path.replace(path)
                 return
         raise OSError("this OpenCV writes no film; a name that ends in .gif makes an animation")

@@ -81,11 +81,11 @@ def read_subject(path: Path, session: Path | None = None) -> Subject:
                                     session now has another mesh
     """
     if not (path / SURFACE_FILE).is_file() and not (path / "estimate.json").is_file():
-        found = read_session(path)
-        return Subject(found, None, None, _rig(found))
+        opened = read_session(path)
+        return Subject(opened, None, None, _rig(opened))
     source, surface = read_fitted(path, session)
-    found = source.session
-    return Subject(found, source.estimate, surface, _rig(found), source.modulus)
+    opened = source.session
+    return Subject(opened, source.estimate, surface, _rig(opened), source.modulus)
 
 
 def shown_probings(subject: Subject) -> tuple[FittedProbing, ...]:
@@ -117,17 +117,17 @@ def _fitted_probings(session: Session, result: FitResult) -> tuple[FittedProbing
     -------
     tuple of FittedProbing          in the session's order
     """
-    found = []
+    probings = []
     for probing, fit in zip(session.probings, result.probes, strict=True):
         plain = _measured(probing, session)
         sigma = plain.sigma if fit.sigma is None else fit.sigma
-        found.append(
+        probings.append(
             replace(
                 plain, predicted=fit.predicted, left_out=fit.left_out_predicted, sigma=sigma,
                 weight=fit.weight, surface=fit.surface,
             )
         )  # fmt: skip
-    return tuple(found)
+    return tuple(probings)
 
 
 def with_prediction(shown: FittedProbing, at: Evaluation, index: int) -> FittedProbing:

@@ -179,7 +179,7 @@ def _picture_file(camera: Camera, pattern: str, folder: Path, what: str) -> Path
     beside = sorted(entry.name for entry in path.parent.iterdir())
     head, *rest = (re.escape(part) for part in Path(pattern).name.split(_CAMERA_FIELD))
     expression = re.compile("(.+)".join([head, *rest]))
-    named = [found[1] for name in beside if rest and (found := expression.fullmatch(name))]
+    named = [match[1] for name in beside if rest and (match := expression.fullmatch(name))]
     if named:
         hint = f"; the pattern '{pattern}' fits the cameras {_listed(named)}"
     elif near := get_close_matches(path.name, beside, n=3):
@@ -383,8 +383,8 @@ def _picture_count(content: bytes) -> int:
         return 1
     count = 0
     with suppress(struct.error):
-        for found in _tiff_directories(content):
-            count += not found.get(_PURPOSE, 0) & _COMPANION
+        for directory in _tiff_directories(content):
+            count += not directory.get(_PURPOSE, 0) & _COMPANION
     return count
 
 
@@ -533,13 +533,13 @@ def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
         seen.add(place)
         (entries,) = struct.unpack_from(order + count, content, place)
         start = place + struct.calcsize(order + count)
-        found = {}
+        fields = {}
         for k in range(min(entries, 4096)):
             tag, kind = struct.unpack_from(order + "HH", content, start + k * entry)
             if tag in _TAGS and kind in _FORMATS:
                 number = order + _FORMATS[kind]
-                (found[tag],) = struct.unpack_from(number, content, start + k * entry + value)
-        yield found
+                (fields[tag],) = struct.unpack_from(number, content, start + k * entry + value)
+        yield fields
         end = min(start + entries * entry, len(content))
         (place,) = struct.unpack_from(order + head, content, end)
 

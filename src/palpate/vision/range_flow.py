@@ -182,20 +182,20 @@ class FlowMethod(Protocol):
         ...
 
     def averaged(
-        self, found: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh
+        self, displacement: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh
     ) -> VertexDisplacement:
         """Add the averaging of the surface's displacement by the windows, if the method knows it.
 
         Parameters
         ----------
-        found : VertexDisplacement      from `vertices`
+        displacement : VertexDisplacement      from `vertices`
         flow : RangeFlow
         rig : Rig                       as given to `start`
         surface : TriangleMesh          as given to `start`
 
         Returns
         -------
-        VertexDisplacement              `found` with its `average` set, or unchanged
+        VertexDisplacement              `displacement` with its `average` set, or unchanged
         """
         ...
 

@@ -244,20 +244,20 @@ def calibration_numbers(cameras: Sequence[Camera], names: Sequence[str]) -> Floa
     """
     by_name = {camera.name: camera for camera in cameras}
     first = _first(cameras, names)
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for name, camera in by_name.items():
         lens = (*camera.matrix[_INTRINSICS], *camera.distortion[:5])
-        found |= zip((f"{name}.{term}" for term in _LENS), lens, strict=True)
+        numbers |= zip((f"{name}.{term}" for term in _LENS), lens, strict=True)
         pose = camera.T_camera_object @ np.linalg.inv(first.T_camera_object)
         turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec()
-        found |= zip((f"{name}.{term}" for term in _POSE), (*turn, *pose[:3, 3]), strict=True)
-    unknown = [name for name in names if name not in found]
+        numbers |= zip((f"{name}.{term}" for term in _POSE), (*turn, *pose[:3, 3]), strict=True)
+    unknown = [name for name in names if name not in numbers]
     if unknown:
         raise CalibrationError(
             f"{quoted(unknown[0])} is no number of a camera; known are CAMERA.TERM with the terms"
             f" {' '.join(_LENS + _POSE)}"
         )
-    return np.array([found[name] for name in names])
+    return np.array([numbers[name] for name in names])
 
 
 def space_strains(rig: Rig, known: RigCovariance, points: Points) -> Float[np.ndarray, "m 3 3"]:
@@ -345,17 +345,17 @@ def _first(cameras: Sequence[Camera], names: Sequence[str]) -> Camera:
 def _check_same(rig: Rig, known: RigCovariance) -> None:
     """Raise if the covariance's values are not those of the rig."""
     try:
-        found = calibration_numbers(rig.cameras, known.names)
+        numbers = calibration_numbers(rig.cameras, known.names)
     except CalibrationError as error:
         raise CalibrationError(f"{known.source}: {error}") from error
     std = np.sqrt(np.diag(known.covariance))
     # Files hold all digits, but converting a rotation and back rounds the last ones.
-    off = np.abs(found - known.value) - std - 1e-6 * np.abs(known.value)
+    off = np.abs(numbers - known.value) - std - 1e-6 * np.abs(known.value)
     if np.any(off > 1e-9):
         worst = int(off.argmax())
         raise CalibrationError(
             f"{known.source}: {known.names[worst]} is {known.value[worst]:.6g} there and"
-            f" {found[worst]:.6g} in {rig.source}: it is the covariance of another calibration;"
+            f" {numbers[worst]:.6g} in {rig.source}: it is the covariance of another calibration;"
             " copy the file that was written with this rig, or remove it"
         )
 

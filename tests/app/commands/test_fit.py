@@ -194,7 +194,7 @@ def test_status_that_is_not_ok_ends_with_three_and_its_cure(
     assert "Poisson's ratio nu not determined" in " ".join(out.split())
     # Once, as a sentence, with what would determine it.
     assert err.count("not determined") == 1
-    assert "Poisson's ratio is not determined by the data: observe displacement vectors" in err
+    assert "Poisson's ratio is not determined by the data: measure displacement vectors" in err
     assert "_identifiable" not in out + err
     assert (tmp_path / "cube-result" / "estimate.json").exists()
 

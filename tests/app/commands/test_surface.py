@@ -46,6 +46,28 @@ def test_a_broken_file_becomes_a_sound_mesh(palpate, scan, tmp_path):
     assert folder_changes(tmp_path / "scan-mesh")[1] == {}
 
 
+@pytest.mark.parametrize("name", ["part.ply", "part.STL", "part.vtu"])
+def test_a_name_of_a_file_gives_that_file(palpate, scan, tmp_path, name):
+    command = ("mesh", scan, "--length-unit", "mm", "--vertices", "300", "--out", name)
+    before = {path.name for path in tmp_path.iterdir()}
+    code, out, _ = palpate(*command)
+    assert code == 0
+    assert f'Result in {name}; it is in mm: write length_unit = "mm"' in " ".join(out.split())
+    assert {path.name for path in tmp_path.iterdir()} - before == {name}
+    mesh, _ = checked_mesh(read_mesh(tmp_path / name, metres_per_unit=1e-3))
+    assert np.ptp(mesh.vertices[:, 0]) == pytest.approx(0.06, rel=0.02)
+    # Whatever has that name is not replaced unasked.
+    (tmp_path / name).write_text("mine")
+    code, _, err = palpate(*command)
+    assert code == 2
+    assert f"{name}: is there already; nothing was touched" in err
+    assert (tmp_path / name).read_text() == "mine"
+    assert palpate(*command, "--force")[0] == 0
+    code, _, err = palpate(*command[:-1], f"none/{name}")
+    assert code == 2
+    assert "none is not a folder; make it first" in err
+
+
 @pytest.mark.slow
 def test_a_drawing_becomes_a_sound_mesh(palpate, tmp_path):
     written_ball(tmp_path, MILLIMETRE)

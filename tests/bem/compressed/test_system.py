@@ -15,7 +15,7 @@ from palpate.bem import (
     factorise,
     held_system,
     make_elastic_map,
-    make_reduced_model,
+    make_solver,
     make_springs,
     make_surface,
     solve,
@@ -96,7 +96,7 @@ def test_a_few_solutions_serve_every_ratio(compressed, dense, right):
 @pytest.mark.slow
 def test_the_residual_that_is_asked_for_decides_how_many_solutions_are_made(compressed, right):
     loose, tight = (
-        make_reduced_model(compressed, right, poisson_range=(0.1, 0.45), tolerance=residual)
+        make_solver(compressed).reduced_model(right, poisson_range=(0.1, 0.45), tolerance=residual)
         for residual in (1e-3, 1e-6)
     )
     assert len(loose.directions) < len(tight.directions)
@@ -149,14 +149,23 @@ def test_rollers_are_refused(long_surface):
         compressed_system(make_surface(long_surface.mesh, held, directions=along))
 
 
-def test_springs_are_refused(compressed):
+def _on_springs(system, held, load):
+    """Unknowns under a load, the support giving."""
+    springs = make_springs(system, [held], np.zeros(0, dtype=np.int64))
+    elastic = make_elastic_map(
+        system, shear_modulus=1.0, poisson_ratio=0.3, springs=springs, compliance=np.array([1.0])
+    ).springs
+    return elastic.solve(
+        load.on_springs(elastic.compliance, elastic.compliance_derivatives).at(0.3)
+    )
+
+
+def test_springs_take_dense_factors_whatever_the_size(compressed, dense):
     held = np.flatnonzero(compressed.surface.held)
-    springs = make_springs(compressed, [held], np.zeros(0, dtype=np.int64))
-    with pytest.raises(InputError, match="rigid supports only"):
-        make_elastic_map(
-            compressed, shear_modulus=1.0, poisson_ratio=0.3, springs=springs,
-            compliance=np.array([1.0]),
-        )  # fmt: skip
+    load = face_columns(dense, np.flatnonzero(~compressed.surface.held)[:1])
+    found, wanted = (_on_springs(system, held, load) for system in (compressed, dense))
+    # The operator's own tolerance.
+    np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
 
 
 def test_a_mesh_that_fits_is_let_through():

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from vision.scenes import PITCH, STILL, example, noisy_views, rigid
 
+from palpate.checkpoints import Checkpoints, content_digest
 from palpate.errors import CalibrationError, InputError
 from palpate.geometry import TriangleMesh, closest_points
-from palpate.parts import Parts, content_digest
 from palpate.pipeline import (
     FLOW_METHODS,
     MeasuredMotion,
@@ -402,7 +402,7 @@ def test_a_state_that_was_kept_is_the_same(begun, series, steps, tmp_path):
     known = {field.name: getattr(state, field.name) for field in fields(state)}
     known |= {f"picture {c}": picture for c, picture in enumerate(series[1])}
     after, _ = steps[0]
-    store = Parts(tmp_path, "key")
+    store = Checkpoints(tmp_path, "key")
     store.load_or_make("state", lambda: after, known)
     read = store.load_or_make("state", lambda: pytest.fail("was not kept"), known)
     assert read is not after

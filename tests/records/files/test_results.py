@@ -1,7 +1,6 @@
 """Results are known again by their sums; only unchanged ones are replaced."""
 
 import errno
-import json
 import os
 import subprocess
 
@@ -12,11 +11,8 @@ from palpate.records import (
     folder_changes,
     parts_folder,
     record_inputs,
-    result_file,
     result_folder,
-    sealed,
     session_files,
-    write_text,
 )
 from palpate.records.files import results
 from palpate.records.files.results import CONTENTS_FILE, parsed_sums, sums_text
@@ -220,34 +216,6 @@ def test_what_cannot_be_read_is_not_said_of_the_result(tmp_path):
         result_folder(tmp_path / "result", kind="fit"),
     ):
         raise PermissionError(errno.EACCES, "Permission denied", picture)
-
-
-def _sealed(target, *, force=False, value=1.5, inputs=()):
-    content = {"format": "palpate-compression/1", "value": value}
-    with result_file(target, force=force) as staged:
-        write_text(staged, sealed(content, inputs, folder=staged.parent))
-
-
-def test_a_sealed_file_is_replaced_and_nothing_else(tmp_path, capsys):
-    target = tmp_path / "a.json"
-    _sealed(target)
-    _sealed(target, value=2.5)
-    text = target.read_text()
-    assert json.loads(text)["value"] == 2.5
-    for changed, message in (
-        (text.replace("2.5", "3.5"), "is a result that was changed since"),
-        (text.replace("2.5", "2.50"), "is a result that was changed since"),
-        ("displacement,force\n0,0\n", "is no result of Palpate's"),
-        ("\xff", "is no result of Palpate's"),
-    ):
-        target.write_text(changed, encoding="latin-1")
-        with pytest.raises(InputError, match=message):
-            _sealed(target)
-    _sealed(target, force=True)
-    assert (tmp_path / "a.json.old").read_text(encoding="latin-1") == "\xff"
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(InputError, match="is a folder"):
-        _sealed(tmp_path / "folder", force=True)
 
 
 def test_changes_of_results_and_inputs_are_found(tmp_path):

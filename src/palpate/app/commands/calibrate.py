@@ -193,7 +193,7 @@ def board(
         metres_from_text(marker, name="--marker"), dictionary, first,
     )  # fmt: skip
     page = board_figure(drawn)
-    with atomic_replacement([file]) as (staged,):
+    with atomic_replacement(file) as staged:
         save_page(page, staged, kind=file.suffix[1:].lower())
     width, height = (25.4 * page.get_size_inches()).round(1)
     print_text(
@@ -277,15 +277,15 @@ def _calibrate(
         files = find_pictures(pictures)
         all_files = [path for by_instant in files.values() for path in by_instant.values()]
         record_inputs(folder, all_files)
-        found = find_boards(files, targets, progress=part_of(progress, 0.0, 0.9))
+        sightings = find_boards(files, targets, progress=part_of(progress, 0.0, 0.9))
         progress("adjustment", 0.9)
-        return calibrate_cameras(found, targets)
+        return calibrate_cameras(sightings, targets)
     record_inputs(folder, list(videos.values()))
     still = still_frames(videos, folder / "frames", progress=part_of(progress, 0.0, 0.6))
-    found = find_boards(still, targets, progress=part_of(progress, 0.6, 0.9))
+    sightings = find_boards(still, targets, progress=part_of(progress, 0.6, 0.9))
     progress("adjustment", 0.9)
-    calibration = calibrate_cameras(without_repeats(found), targets)
-    used = {view.split(" ")[0] for view in calibration.found.views}
+    calibration = calibrate_cameras(without_repeats(sightings), targets)
+    used = {view.split(" ")[0] for view in calibration.sightings.views}
     for by_instant in still.values():
         for instant, path in by_instant.items():
             if instant not in used:
@@ -329,14 +329,15 @@ def _boards(target: Target, count: int) -> list[Target]:
 def _table(calibration: Calibration, quality: tuple[CameraQuality, ...]) -> Table:
     sigma = dict(zip(calibration.names, np.sqrt(np.diag(calibration.covariance)), strict=True))
     rows = []
-    for camera, found in zip(calibration.cameras, quality, strict=True):
+    for camera, errors in zip(calibration.cameras, quality, strict=True):
         k = camera.matrix
         fx, cx, cy = (f"{sigma[f'{camera.name}.{term}']:.2f}" for term in ("fx", "cx", "cy"))
-        worst = float(np.nanmax(found.rms))
+        worst = float(np.nanmax(errors.rms))
         rows.append(
             (
-                camera.name, str(found.views), f"{found.corners - found.rejected}/{found.corners}",
-                f"{found.noise:.3f}", f"{worst:.3f}",
+                camera.name, str(errors.views),
+                f"{errors.corners - errors.rejected}/{errors.corners}",
+                f"{errors.noise:.3f}", f"{worst:.3f}",
                 f"{k[0, 0]:.2f} ± {fx}", f"{k[0, 2]:.2f} ± {cx}, {k[1, 2]:.2f} ± {cy}",
             )
         )  # fmt: skip
@@ -369,12 +370,12 @@ def _lengths(calibration: Calibration) -> str:
 
 
 def _object_table(view: ObjectView) -> Table:
-    found = view.registration
+    registration = view.registration
     sigma = np.sqrt(np.diag(view.covariance))
     rows = [
         ("points of the surface", str(view.points)),
-        ("of them on the mesh", f"{100.0 * found.inliers:.0f} %"),
-        ("distance from it, rms", f"{1e3 * found.residual:.2g} mm"),
+        ("of them on the mesh", f"{100.0 * registration.inliers:.0f} %"),
+        ("distance from it, rms", f"{1e3 * registration.residual:.2g} mm"),
         ("turn x, y, z, 1 sigma", ", ".join(f"{x:.2g}" for x in np.degrees(sigma[:3])) + " deg"),
         ("shift x, y, z, 1 sigma", ", ".join(f"{1e3 * x:.2g}" for x in sigma[3:]) + " mm"),
     ]

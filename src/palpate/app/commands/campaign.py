@@ -187,7 +187,7 @@ def plot(
     if all(row.state != DONE for row in rows):
         raise InputError(f"{folder}: no session has a result yet; there is nothing to draw")
     figure = campaign_figure(rows, name)
-    with atomic_replacement([target]) as (staged,), disk_errors(target):
+    with atomic_replacement(target) as staged, disk_errors(target):
         save_figure(figure, staged, kind=target.suffix[1:])
     print_text(f"Picture in {target}", wrapped=False)
     return 0

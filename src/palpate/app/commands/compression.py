@@ -3,7 +3,6 @@
 import math
 import re
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -29,10 +28,10 @@ from palpate.records import (
     check_free,
     constant_text,
     copied_rows,
+    file_sums,
     interval_text,
+    json_text,
     modulus_unit,
-    result_file,
-    sealed,
     write_text,
 )
 
@@ -88,44 +87,42 @@ def compression(
     out
         JSON file for the result.
     force
-        Replace a picture of that name, and overwrite even if the target is not an unchanged result;
-        the old content is kept as NAME.old.
+        Replace files of these names.
     """
     strain_range = _strain_range(strain)
     if out is not None and any(out.exists() and out.samefile(f) for f in files if f.exists()):
         raise InputError(f"{out}: --out names one of the records; give the result its own name")
     specimens = _specimens(files, group)
-    if plot is not None:
-        check_free(plot, force=force)
+    for target in filter(None, (plot, out)):
+        check_free(target, force=force)
     records: list[CompressionRecord] = []
     results: list[CompressionResult] = []
     earlier: list[tuple[Path, set[bytes]]] = []
     notes: list[tuple[str, str]] = []
-    # The target is tried first: no one should wait for a result that cannot be kept.
-    with nullcontext() if out is None else result_file(out, force=force) as staged:
-        for file in files:
-            record = read_compression(
-                file,
-                displacement_unit=displacement_unit,
-                force_unit=force_unit,
-                displacement_column=displacement_column,
-                force_column=force_column,
-            )
-            earlier.append((file, _checked_rows(record, earlier)))
-            result = compression_test(
-                record.displacement,
-                record.force,
-                diameter=_size(diameter, "diameter", record, record.diameter),
-                height=_size(height, "height", record, record.height),
-                strain_range=strain_range,
-                preload=preload,
-                source=str(file),
-            )
-            records.append(record)
-            results.append(result)
-            notes += [(file.name, note) for note in (*record.notes, *result.notes)]
-        if staged is not None:
-            write_text(staged, sealed(_content(results, specimens), files, folder=staged.parent))
+    for file in files:
+        record = read_compression(
+            file,
+            displacement_unit=displacement_unit,
+            force_unit=force_unit,
+            displacement_column=displacement_column,
+            force_column=force_column,
+        )
+        earlier.append((file, _checked_rows(record, earlier)))
+        result = compression_test(
+            record.displacement,
+            record.force,
+            diameter=_size(diameter, "diameter", record, record.diameter),
+            height=_size(height, "height", record, record.height),
+            strain_range=strain_range,
+            preload=preload,
+            source=str(file),
+        )
+        records.append(record)
+        results.append(result)
+        notes += [(file.name, note) for note in (*record.notes, *result.notes)]
+    if out is not None:
+        content = _content(results, specimens) | {"inputs": file_sums(files, start=out.parent)}
+        write_text(out, json_text(content))
     if plot is not None:
         save_figure(compression_figure(records, results), plot)
     print_tables(_table(results, specimens))
@@ -137,15 +134,15 @@ def _specimens(files: Sequence[Path], groups: Sequence[str] | None) -> list[str]
     """The specimen that each file is a test of."""
     if groups is None:
         return [str(file) for file in files]
-    found = []
+    specimens = []
     for file in files:
         of = [name for name in groups if name in file.name]
         if len(of) != 1:
             raise InputError(
                 f"{file}: its name holds {len(of)} of --group {' '.join(groups)}; must hold one"
             )
-        found += of
-    return found
+        specimens += of
+    return specimens
 
 
 def _checked_rows(
@@ -164,19 +161,19 @@ def _checked_rows(
     return rows
 
 
-def _size(given: str | None, name: str, record: CompressionRecord, found: float | None) -> float:
+def _size(given: str | None, name: str, record: CompressionRecord, recorded: float | None) -> float:
     """A size of the cylinder from the command line, else from the file."""
     if given is None:
-        if found is None:
+        if recorded is None:
             raise InputError(
                 f"{record.source}: does not say the {name}; give it, e.g. --{name} 50mm"
             )
-        return found
+        return recorded
     requested = metres_from_text(given, name=f"--{name}")
-    if found is not None and abs(requested - found) > _SAME_SIZE * found:
+    if recorded is not None and abs(requested - recorded) > _SAME_SIZE * recorded:
         raise InputError(
-            f"{record.source}: says that the {name} is {1e3 * found:g} mm, and --{name} that it is"
-            f" {1e3 * requested:g} mm; leave the option out, or correct the file"
+            f"{record.source}: says that the {name} is {1e3 * recorded:g} mm, and --{name} that it"
+            f" is {1e3 * requested:g} mm; leave the option out, or correct the file"
         )
     return requested
 

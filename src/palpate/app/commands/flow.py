@@ -166,9 +166,9 @@ def _write(
     """Write each motion and let it go before the next one is measured: a video may be long."""
     figures, files, counts = list[MotionFigures](), list[dict[str, str]](), list[Rejections]()
     surface, seconds = None, 0.0
-    for found, stem in zip(motions, stems, strict=True):
+    for measured, stem in zip(motions, stems, strict=True):
         start = time.perf_counter()
-        rig, motion, notes = found
+        rig, motion, notes = measured
         written = write_motion(folder, session, rig, motion, stem=stem, surface=surface)
         surface, names = written.surface, written.files
         if pictures and motion.flow is not None:

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from palpate.app.tables import number_text, terminal_table
 from palpate.app.terminal import print_file_notes, print_notes, print_tables, print_text
-from palpate.disk import atomic_replacement
+from palpate.disk import atomic_replacement, new_files, write_bytes
 from palpate.errors import InputError
 from palpate.pipeline import survey_field, triangulated, without_contradicted
 from palpate.records import (
@@ -22,6 +22,7 @@ from palpate.records import (
     ImportItem,
     Session,
     displacement_line,
+    displacement_text,
     import_kinds,
     import_plan,
     in_object_frame,
@@ -37,7 +38,6 @@ from palpate.records import (
     result_folder,
     session_files,
     with_displacements,
-    write_displacement,
 )
 
 if TYPE_CHECKING:
@@ -45,6 +45,9 @@ if TYPE_CHECKING:
 else:
     # The choices are those of the list of programs, which a type checker cannot know.
     _Kind = Literal[tuple(import_kinds())]
+
+# Writes the CSV of a probing and gives its file's name.
+_Write = Callable[[str, bytes], str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +57,7 @@ class _Import:
     name: str
     file: Path
     imported: ImportedField
+    written: str
 
 
 def import_displacements(
@@ -76,7 +80,8 @@ def import_displacements(
 
     Give one result file for each probing (loaded state against the reference), then the session:
     palpate import vic3d n01.csv n02.csv SESSION. Writes NAME.csv for the probing NAME into the
-    session's folder and names it in session.toml, all of it or nothing.
+    session's folder, or NAME_2.csv where that name is taken, and names it in session.toml, all of
+    it or nothing.
 
     Parameters
     ----------
@@ -102,12 +107,11 @@ def import_displacements(
     drop_off_surface
         Leave out measured points that are not on the object: background, tool, holder.
     replace
-        Replace displacements that the session already has; those are kept as NAME.old.
+        Replace displacements that the session already names; their files stay where they are.
     out
         Write the CSV files into this result folder instead, and leave the session as it is.
     force
-        Overwrite even if the target is neither what --replace allows nor an unchanged result of
-        this command; the old content is kept as NAME.old.
+        Overwrite whatever is at --out; the old content is kept as NAME.old.
     """
     session, plan = _import_targets(files, probe, frame, replace=replace or out is not None)
     pose, notes = (np.eye(4), ()) if to_object is None else read_import_pose(to_object)
@@ -120,9 +124,7 @@ def import_displacements(
     done: list[_Import] = []
     inputs = [*(item.file for item in plan), *session_files(session.path)]
     inputs += [to_object] if to_object is not None else []
-    with (
-        _session_files(session, plan, force) if out is None else _folder(out, inputs, force)
-    ) as folder:
+    with _session_files(session) if out is None else _folder(out, inputs, force) as write:
         for item in plan:
             measured = read_measured(
                 kind,
@@ -136,9 +138,9 @@ def import_displacements(
                 measured = without_contradicted(measured)
             moved = in_object_frame(measured, pose) if to_object is not None else measured
             imported = on_surface(moved, session.mesh, drop_off_surface=drop_off_surface)
-            done.append(_Import(item.probe, item.file, imported))
-            unit = session.metres_per_unit
-            write_displacement(folder(_csv_name(item.probe)), imported.field, metres_per_unit=unit)
+            text = displacement_text(imported.field, metres_per_unit=session.metres_per_unit)
+            written = write(item.probe, text.encode())
+            done.append(_Import(item.probe, item.file, imported, written))
     _print_report(session, done, out)
     return 0
 
@@ -175,66 +177,34 @@ def _import_targets(
 
 
 @contextmanager
-def _session_files(
-    session: Session, plan: Sequence[ImportItem], force: bool
-) -> Iterator[Callable[[str], Path]]:
-    """Where the CSV files are written; they and the session that names them change together."""
-    folder = session.path.parent
-    names = {item.probe: _csv_name(item.probe) for item in plan}
-    targets = [folder / name for name in names.values()]
-    foreign = _foreign_files(session, plan)
-    if foreign and not force:
-        raise InputError(
-            f"{foreign[0]}: is there already, and the session does not name it for that probing;"
-            f" move it, write elsewhere with --out, or give --force to keep it as"
-            f" {foreign[0].name}.old"
-        )
-    written: dict[str, Path] = {}
+def _session_files(session: Session) -> Iterator[_Write]:
+    """Writes CSV files beside the session, which names them at the end, all or none."""
+    names: dict[str, str] = {}
+    with new_files(session.path) as write, atomic_replacement(session.path) as staged:
 
-    def differs(path: Path) -> bool:
-        """True where it may hold the only copy of what somebody measured."""
-        return path.name in written and path.read_bytes() != written[path.name].read_bytes()
+        def write_csv(probe: str, content: bytes) -> str:
+            names[probe] = write(session.path.with_name(_csv_name(probe)), content).name
+            return names[probe]
 
-    with atomic_replacement([*targets, session.path], keep_old=differs) as staged:
-        where = dict(zip(names.values(), staged, strict=False))
-        # By the names that `atomic_replacement` asks for: links are followed.
-        written.update((target.resolve().name, where[target.name]) for target in targets)
-        yield where.__getitem__
+        yield write_csv
         # As it is by now, and as bytes, so that line ends stay as they are.
         text = session.path.read_bytes().decode("utf-8")
         mark = "\ufeff" if text.startswith("\ufeff") else ""
         edited = mark + with_displacements(text.removeprefix(mark), names)
-        staged[-1].write_bytes(edited.encode("utf-8"))
-
-
-def _foreign_files(session: Session, plan: Sequence[ImportItem]) -> list[Path]:
-    """What stands in the way of the CSV files and is not the displacement that they replace."""
-    folder, foreign = session.path.parent, []
-    named = named_displacements(session.path)
-    for item in plan:
-        target = folder / _csv_name(item.probe)
-        if target.is_dir():
-            raise InputError(f"{target}: is a folder; move it, or write elsewhere with --out")
-        if not target.exists():
-            continue
-        if target.samefile(item.file):
-            raise InputError(
-                f"{target}: the result would replace its own source; move the source elsewhere, or"
-                " write elsewhere with --out"
-            )
-        files = {name: folder / file for name, file in named.items()}
-        owners = [name for name, file in files.items() if file.exists() and target.samefile(file)]
-        if owners != [item.probe]:
-            foreign.append(Path(os.path.realpath(target)))
-    return foreign
+        staged.write_bytes(edited.encode("utf-8"))
 
 
 @contextmanager
-def _folder(out: Path, inputs: Sequence[Path], force: bool) -> Iterator[Callable[[str], Path]]:
-    """Where the CSV files are written in a result folder."""
+def _folder(out: Path, inputs: Sequence[Path], force: bool) -> Iterator[_Write]:
+    """Writes CSV files into a result folder."""
     with result_folder(out, kind="import", force=force) as folder:
         record_inputs(folder, inputs)
-        yield folder.joinpath
+
+        def write_csv(probe: str, content: bytes) -> str:
+            write_bytes(folder / _csv_name(probe), content)
+            return _csv_name(probe)
+
+        yield write_csv
 
 
 def _csv_name(probe: str) -> str:
@@ -247,11 +217,10 @@ def _print_report(session: Session, done: Sequence[_Import], out: Path | None) -
     notes = [(item.file.name, note) for item in done for note in item.imported.notes]
     print_file_notes(notes, files=len(done))
     for item in done:
-        name = _csv_name(item.name)
         if out is None:
-            line = f"{session.path}, probing '{item.name}': {displacement_line(name)}"
+            line = f"{session.path}, probing '{item.name}': {displacement_line(item.written)}"
         else:
-            file = os.path.relpath(out / name, session.path.parent)
+            file = os.path.relpath(out / item.written, session.path.parent)
             line = f"Add to probing '{item.name}': {displacement_line(Path(file).as_posix())}"
         print_text(line, wrapped=False)
 

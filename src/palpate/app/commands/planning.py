@@ -148,31 +148,33 @@ def plan_pictures(
     return 0
 
 
-def _table(found: NextProbings) -> Table:
+def _table(next_probings: NextProbings) -> Table:
     """What is measured, and one row for each chosen place."""
-    factor, unit = modulus_unit(found.information.shear_modulus)
+    factor, unit = modulus_unit(next_probings.information.shear_modulus)
 
     def expected(precision: dict[str, float]) -> tuple[str, ...]:
         if PREDICTION not in precision:
             return _deviations(precision, factor)
         return (*_deviations(precision, factor), f"{100.0 * precision[PREDICTION]:.2g}")
 
-    rows = [("now", "", "", *expected(found.now))]
-    for number, (k, after) in enumerate(zip(found.chosen, found.after, strict=True), start=1):
-        place = ", ".join(f"{1e3 * x:.1f}" for x in found.point[k])
+    rows = [("now", "", "", *expected(next_probings.now))]
+    for number, (k, after) in enumerate(
+        zip(next_probings.chosen, next_probings.after, strict=True), start=1
+    ):
+        place = ", ".join(f"{1e3 * x:.1f}" for x in next_probings.point[k])
         # What is rounded to zero has no sign.
-        parts = np.round(found.force * found.inward[k], 12) + 0.0
+        parts = np.round(next_probings.force * next_probings.inward[k], 12) + 0.0
         force = ", ".join(f"{x:.2g}" for x in parts)
         rows.append((f"+ {number}", place, force, *expected(after)))
     columns = ["pushes", "place mm", "force N", "sd nu", f"sd G {unit}", f"sd E {unit}"]
     caption = (
-        f"best of {len(found.point)} places; sd: standard deviations to expect with all pushes up"
-        " to this row"
+        f"best of {len(next_probings.point)} places; sd: standard deviations to expect with all"
+        " pushes up to this row"
     )
-    if PREDICTION in found.now:
+    if PREDICTION in next_probings.now:
         columns.append("sd |u| %")
         caption += "; |u|: displacements under a push at any of the places, from its force"
-    title = f"Where to push next, with a radius of {1e3 * found.radius:.3g} mm"
+    title = f"Where to push next, with a radius of {1e3 * next_probings.radius:.3g} mm"
     return terminal_table(title, columns, rows, caption=caption)
 
 
@@ -181,12 +183,12 @@ def _save(file: Path, picture: np.ndarray) -> None:
         raise InputError(f"{file}: the picture cannot be written; choose another place with --out")
 
 
-def _cameras(found: MeasurementPlan) -> Table:
-    rows = [(name, f"{100 * share:.0f}") for name, share in found.visible.items()]
+def _cameras(plan: MeasurementPlan) -> Table:
+    rows = [(name, f"{100 * share:.0f}") for name, share in plan.visible.items()]
     return terminal_table("What each camera sees", ("camera", "of the free surface %"), rows)
 
 
-def _probings(found: MeasurementPlan, young: float, poisson: float) -> Table:
+def _probings(plan: MeasurementPlan, young: float, poisson: float) -> Table:
     """One row a probing, and one of all together."""
     factor, unit = modulus_unit(young)
     rows = [
@@ -194,14 +196,14 @@ def _probings(found: MeasurementPlan, young: float, poisson: float) -> Table:
             probing.name, str(probing.seen), f"{1e3 * probing.displacement:.3g}",
             f"{1e3 * probing.sigma:.2g}", *_deviations(probing.precision, factor),
         )
-        for probing in found.probings
+        for probing in plan.probings
     ]  # fmt: skip
-    rows.append(("all", "", "", "", *_deviations(found.precision, factor)))
+    rows.append(("all", "", "", "", *_deviations(plan.precision, factor)))
     return terminal_table(
         f"Standard deviations to expect, at E = {young / factor:.4g} {unit}, nu = {poisson:g}",
         ("probing", "seen", "|u| mm", "sigma mm", "nu", f"G {unit}", f"E {unit}"),
         rows,
-        caption=" ".join([_CAPTION, *budget_sentences(found.budget)]),
+        caption=" ".join([_CAPTION, *budget_sentences(plan.budget)]),
         total=True,
     )
 

@@ -258,7 +258,7 @@ def _inputs(given: Recording) -> list[Path]:
     return sorted(files | ({given.contact_source.poses} if given.contact_source.poses else set()))
 
 
-def _presses(found: Recorded, placed: tuple[PlacedPress, ...]) -> Table:
+def _presses(recorded: Recorded, placed: tuple[PlacedPress, ...]) -> Table:
     rows = []
     for item in placed:
         reading = item.press.reading
@@ -271,7 +271,7 @@ def _presses(found: Recorded, placed: tuple[PlacedPress, ...]) -> Table:
             (
                 item.press.name, f"{reading.time:.2f}", f"{reading.end - reading.begin:.2f}",
                 f"{size:.4f} ± {sigma:.4f}", f"{100 * reading.creep:+.2f}",
-                number_text(100 * hysteresis(found, item.press), "+.1f"), str(item.frames),
+                number_text(100 * hysteresis(recorded, item.press), "+.1f"), str(item.frames),
                 point, std,
             )
         )  # fmt: skip
@@ -287,11 +287,11 @@ def _presses(found: Recorded, placed: tuple[PlacedPress, ...]) -> Table:
         " the place was given"
     )
     return terminal_table(
-        f"{len(placed)} of {len(found.touches)} presses", columns, rows, caption=caption
+        f"{len(placed)} of {len(recorded.touches)} presses", columns, rows, caption=caption
     )
 
 
-def _clocks(found: Recorded) -> Table:
+def _clocks(recorded: Recorded) -> Table:
     rows = [
         (
             motion.camera, str(len(motion.time)), f"{1.0 / motion.interval:.2f}",
@@ -299,7 +299,7 @@ def _clocks(found: Recorded) -> Table:
             "given" if clock.given else number_text(1e3 * clock.std, ".1f"),
             number_text(1e3 * clock.scatter, ".1f"),
         )
-        for motion, clock in zip(found.motions, found.clocks, strict=True)
+        for motion, clock in zip(recorded.motions, recorded.clocks, strict=True)
     ]  # fmt: skip
     columns = (
         "camera", "frames", "rate Hz", "dropped", "repeated", "lost", "clock s", "± ms",
@@ -312,10 +312,10 @@ def _clocks(found: Recorded) -> Table:
     return terminal_table("Cameras", columns, rows, caption=caption)
 
 
-def _zero(found: Recorded) -> str:
+def _zero(recorded: Recorded) -> str:
     """Weight and drift in words."""
-    weight = np.round(found.zero.value[0], 4).tolist()
+    weight = np.round(recorded.zero.value[0], 4).tolist()
     return (
         f"Without contact the gauge reads {weight} N in the beginning (the tool's weight, taken"
-        f" off) and drifts by up to {found.zero.drift:.4f} N"
+        f" off) and drifts by up to {recorded.zero.drift:.4f} N"
     )

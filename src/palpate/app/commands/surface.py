@@ -1,5 +1,7 @@
 """`palpate mesh` and `palpate scan`: one closed surface with even triangles, of what there is."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -12,16 +14,19 @@ from palpate.errors import InputError, MeshError
 from palpate.figures import save_figure, scan_figure, surface_figure
 from palpate.geometry import (
     STEP_SUFFIXES,
+    WRITTEN_SUFFIXES,
     MeshQuality,
     TriangleMesh,
     bounding_diagonal,
     read_mesh,
     triangle_areas,
+    write_mesh,
 )
 from palpate.progress import part_of
 from palpate.records import (
     LENGTH_UNITS,
     TomlTable,
+    check_free,
     default_folder,
     record_inputs,
     result_folder,
@@ -78,9 +83,10 @@ def mesh(
         Unit of the file, the points, the plane and the mesh that is written; default: m. A drawing
         states its own unit; this is then that of the others.
     out
-        Result folder. Default: the file's name followed by -mesh, in the current folder.
+        Result folder, or a name such as part.ply or part.stl for the mesh alone. Default: the
+        file's name followed by -mesh, in the current folder.
     force
-        Overwrite whatever is there; the old content is kept as NAME.old.
+        Overwrite whatever is there; a folder's old content is kept as NAME.old.
 
     Returns
     -------
@@ -90,8 +96,7 @@ def mesh(
     unit = LENGTH_UNITS[length_unit or "m"]
     plane = None if support is None else plane_from_text(support, metres_per_unit=unit)
     destination = out or Path(f"{file.stem}-mesh")
-    with result_folder(destination, kind="mesh", force=force) as folder:
-        record_inputs(folder, [file] if near is None else [file, near])
+    with _surface_folder(destination, "mesh", force) as folder:
         given = read_mesh(file, metres_per_unit=unit, most=_MAX_TRIANGLES)
         _check_size(file, given, length_unit)
         points = None if near is None else read_points(near, metres_per_unit=unit)
@@ -102,8 +107,12 @@ def mesh(
                 )
         except MeshError as error:
             raise MeshError(f"{file}: {error}") from error
-        write_surface(folder, made, metres_per_unit=unit)
-        save_figure(surface_figure(file.name, made), folder / "mesh.png")
+        if folder is None:
+            write_mesh(destination, made.mesh, metres_per_unit=unit)
+        else:
+            record_inputs(folder, [file] if near is None else [file, near])
+            write_surface(folder, made, metres_per_unit=unit)
+            save_figure(surface_figure(file.name, made), folder / "mesh.png")
     if made.actions:
         print_tables(_actions_table(made))
     print_tables(_figures_table(made))
@@ -137,9 +146,10 @@ def scan(
     length_unit
         Of that file.
     out
-        Result folder. Default: the scan's folder name followed by -mesh, in the current folder.
+        Result folder, or a name such as part.ply or part.stl for the mesh alone. Default: the
+        scan's folder name followed by -mesh, in the current folder.
     force
-        Overwrite whatever is there; the old content is kept as NAME.old.
+        Overwrite whatever is there; a folder's old content is kept as NAME.old.
 
     Returns
     -------
@@ -147,10 +157,9 @@ def scan(
         0.
     """
     destination = out or default_folder(scan if scan.is_dir() else scan.parent, "mesh")
-    with result_folder(destination, kind="scan", force=force) as folder:
+    with _surface_folder(destination, "scan", force) as folder:
         with progress_bar("fewer views, or fewer --vertices") as progress:
             read = read_scan(scan, progress=part_of(progress, 0.0, 0.6))
-            record_inputs(folder, read.files if near is None else [*read.files, near])
             points = None
             if near is not None:
                 points = read_points(near, metres_per_unit=LENGTH_UNITS[length_unit])
@@ -159,12 +168,27 @@ def scan(
                     read.views, vertices=vertices, near=points, support=read.support,
                     progress=part_of(progress, 0.6, 1.0),
                 )  # fmt: skip
-        write_surface(folder, made)
-        save_figure(scan_figure(read.path.parent.resolve().name, made), folder / "scan.png")
+        if folder is None:
+            write_mesh(destination, made.mesh)
+        else:
+            record_inputs(folder, read.files if near is None else [*read.files, near])
+            write_surface(folder, made)
+            save_figure(scan_figure(read.path.parent.resolve().name, made), folder / "scan.png")
     print_tables(_views_table(made))
     print_tables(_scan_table(made))
     print_text(_result_text(destination, "m"))
     return 0
+
+
+@contextmanager
+def _surface_folder(destination: Path, kind: str, force: bool) -> Iterator[Path | None]:
+    """The temporary folder of a result; None: the destination is a file, for the mesh alone."""
+    if destination.suffix.lower() not in WRITTEN_SUFFIXES or destination.is_dir():
+        with result_folder(destination, kind=kind, force=force) as folder:
+            yield folder
+        return
+    check_free(destination, force=force)
+    yield None
 
 
 def _views_table(made: ScannedSurface) -> Table:
@@ -215,8 +239,9 @@ def _check_size(file: Path, given: TriangleMesh, unit: _Unit | None) -> None:
 
 def _result_text(destination: Path, unit: _Unit) -> str:
     """Where the result is, and what a session says of its mesh."""
+    mesh = "its mesh.ply is" if destination.is_dir() else "it is"
     return (
-        f'Result in {destination}; its mesh.ply is in {unit}: write length_unit = "{unit}" under'
+        f'Result in {destination}; {mesh} in {unit}: write length_unit = "{unit}" under'
         " [object] in session.toml"
     )
 

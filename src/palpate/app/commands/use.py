@@ -339,14 +339,14 @@ def _modulus(result: Path) -> ModulusMap | None:
     return read_modulus((result if result.is_dir() else result.parent) / "modulus.npz")
 
 
-def _displacement_table(found: PokedState, points: Points | None) -> Table:
+def _displacement_table(poked: PokedState, points: Points | None) -> Table:
     """Displacement of the contact point, of the vertex that moves most, and inside."""
     places = [
-        ("contact", found.contact.point, found.displacement),
-        ("largest", found.largest_point, found.largest),
+        ("contact", poked.contact.point, poked.displacement),
+        ("largest", poked.largest_point, poked.largest),
     ]
-    if points is not None and found.interior is not None:
-        inside = zip(points, found.interior.displacement, strict=True)
+    if points is not None and poked.interior is not None:
+        inside = zip(points, poked.interior.displacement, strict=True)
         places += [(f"inside {k}", *pair) for k, pair in enumerate(inside, start=1)]
     rows = [
         (name, _numbers(1e3 * point), _numbers(1e3 * u), f"{1e3 * np.linalg.norm(u):.3g}")

@@ -81,8 +81,8 @@ class ClusterInverse:
         def solve(begin: int, end: int) -> None:
             for k in range(begin, end):
                 own = rows[self.points[k]].reshape(-1, rows.shape[2])
-                found = lu_solve(self.factors[k], own, check_finite=False)
-                out[self.unknowns[k]] = found.reshape(-1, 3, rows.shape[2])
+                solution = lu_solve(self.factors[k], own, check_finite=False)
+                out[self.unknowns[k]] = solution.reshape(-1, 3, rows.shape[2])
 
         in_threads(solve, len(self.points))
         return out.reshape(-1, rows.shape[2])
@@ -258,17 +258,17 @@ def block_gmres(
         own = slice(first, first + _BLOCK_SIZE)
         wanted = right[:, own] / size[own]
         if low_precision is None:
-            found = _solve_block(product, inverse, wanted, tolerance, max_iterations)
+            solution = _solve_block(product, inverse, wanted, tolerance, max_iterations)
         else:
-            found = _refined(product, low_precision, inverse, wanted, tolerance, max_iterations)
-        if found.residual.max(initial=0.0) > tolerance:
+            solution = _refined(product, low_precision, inverse, wanted, tolerance, max_iterations)
+        if solution.residual.max(initial=0.0) > tolerance:
             raise NotConvergedError(
                 f"a system of {len(right)} equations is not solved after {max_iterations}"
-                f" iterations (residual {found.residual.max():.1e}, at most {tolerance:.0e} is"
+                f" iterations (residual {solution.residual.max():.1e}, at most {tolerance:.0e} is"
                 " allowed): a part that nothing holds makes this impossible (run `palpate check`),"
                 " thin parts make it hard: simplify the surface until dense matrices serve"
             )
-        parts.append(found)
+        parts.append(solution)
     return _IterativeSolution(
         np.concatenate([part.solution for part in parts], axis=1) * size,
         np.concatenate([part.product for part in parts], axis=1) * size,

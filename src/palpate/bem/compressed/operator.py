@@ -127,14 +127,14 @@ class CompressedOperator:
         -------
         (r, 3, c) float
         """
-        found = _near_product(self.near, weights, displacement, traction)
-        found += self.far.apply(weights, displacement, traction)
+        result = _near_product(self.near, weights, displacement, traction)
+        result += self.far.apply(weights, displacement, traction)
         at_points = (self.to_points @ displacement.reshape(len(displacement), -1)).reshape(
-            found.shape
+            result.shape
         )
         row_sums = weights.skew * self.row_sums[0] + weights.rest * self.row_sums[1]
-        found -= row_sums.astype(found.dtype) @ at_points.astype(found.dtype)
-        return found
+        result -= row_sums.astype(result.dtype) @ at_points.astype(result.dtype)
+        return result
 
 
 def _near_product(
@@ -150,11 +150,11 @@ def _near_product(
     def multiply(begin: int, end: int) -> None:
         for block in near[begin:end]:
             matrix = block.traction_matrix(weights, displacement.dtype)
-            found = component_product(matrix, displacement[block.nodes])
+            result = component_product(matrix, displacement[block.nodes])
             if block.sides.size:
                 matrix = block.displacement_matrix(weights, displacement.dtype)
-                found += component_product(matrix, traction[block.sides])
-            out[block.points] = found
+                result += component_product(matrix, traction[block.sides])
+            out[block.points] = result
 
     in_threads(multiply, len(near))
     return out
@@ -263,12 +263,12 @@ def _own_displacement(nodes: QuadraticNodes, collocation: Collocation) -> csr_ar
     """Displacement at the collocation points from that of the vertices."""
     inside = np.flatnonzero(collocation.vertex < 0)
     at_vertex = np.flatnonzero(collocation.vertex >= 0)
-    found = interpolation_matrix(
+    interpolation = interpolation_matrix(
         nodes, collocation.triangle[inside], collocation.barycentric[inside]
     ).tocoo()
-    row = np.concatenate([at_vertex, inside[found.row]])
-    column = np.concatenate([collocation.vertex[at_vertex], found.col])
-    value = np.concatenate([np.ones(at_vertex.size), found.data])
+    row = np.concatenate([at_vertex, inside[interpolation.row]])
+    column = np.concatenate([collocation.vertex[at_vertex], interpolation.col])
+    value = np.concatenate([np.ones(at_vertex.size), interpolation.data])
     return csr_array((value, (row, column)), shape=(len(collocation.point), nodes.n_nodes))
 
 

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 from jaxtyping import Float
+from scipy.sparse import csr_array
 
 from palpate.bem.compressed.far_field import KernelWeights
 from palpate.bem.compressed.operator import LEAF_SIZE, CompressedOperator, compress
@@ -20,9 +21,9 @@ from palpate.bem.system.system import (
     find_unknowns,
     place_collocation,
 )
+from palpate.checkpoints import Cache
 from palpate.errors import InputError
 from palpate.machine import check_memory_for, usable_memory
-from palpate.parts import Cache
 from palpate.progress import Progress, silent
 
 # Coefficient of the slack in every integral equation (`system_matrix`).
@@ -74,9 +75,9 @@ class CompressedSystem(BoundarySystem):
         -------
         (k, c) float
         """
-        found, traction = self._applied(scaled_weights(self, poisson_ratio), unknowns)
-        found += SLACK * unknowns[-3:]
-        return np.concatenate([self.by_component(found), self._balance(traction)])
+        result, traction = self._applied(scaled_weights(self, poisson_ratio), unknowns)
+        result += SLACK * unknowns[-3:]
+        return np.concatenate([self.by_component(result), self._balance(traction)])
 
     def slope_product(self, unknowns: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "k c"]:
         """The derivative of the matrix with respect to Poisson's ratio times vectors.
@@ -90,30 +91,37 @@ class CompressedSystem(BoundarySystem):
         (k, c) float
         """
         weights = KernelWeights(-2.0, 0.0, 0.0, -1.0 / self.traction_length)
-        found, _ = self._applied(weights, unknowns)
-        return np.concatenate([self.by_component(found), np.zeros((3, unknowns.shape[1]))])
+        result, _ = self._applied(weights, unknowns)
+        return np.concatenate([self.by_component(result), np.zeros((3, unknowns.shape[1]))])
 
-    def given_products(
-        self, displacement: Float[np.ndarray, "v 3 c"]
-    ) -> tuple[Float[np.ndarray, "k c"], Float[np.ndarray, "k c"]]:
-        """Contributions of prescribed vertex displacements to the integral equations.
+    def held_columns(
+        self, basis: Float[np.ndarray, "d c"] | csr_array
+    ) -> Float[np.ndarray, "2 r c"]:
+        """As of a `BoundarySystem`, by products with the operator.
 
         Parameters
         ----------
-        displacement : (v, 3, c) float [m]    zero where it is unknown
+        basis : (3 h, c) float or sparse [m]
 
         Returns
         -------
-        (k, c) float, (k, c) float        for A and for B (`traction_parts`), without the rows of
-                                          the force balance
+        (2, r, c) float
         """
-        no_traction = np.zeros((self.unknowns.held_sides.size, 3, displacement.shape[2]))
-        parts = (KernelWeights(1.0, 0.0, 0.0, 0.0), KernelWeights(0.0, 1.0, 0.0, 0.0))
-        a, b = (
-            self.by_component(self.operator.apply(weights, displacement, no_traction))
-            for weights in parts
+        columns = basis.shape[1]
+        displacement = np.zeros((len(self.surface.mesh.vertices), 3, columns))
+        displacement[self.unknowns.held_vertices] = (basis @ np.eye(columns)).reshape(
+            -1, 3, columns
         )
-        return a, b
+        no_traction = np.zeros((self.unknowns.held_sides.size, 3, columns))
+        # A and B of `traction_parts`.
+        scaled, constant = (
+            self.by_component(self.operator.apply(weights, displacement, no_traction))
+            for weights in (KernelWeights(1.0, 0.0, 0.0, 0.0), KernelWeights(0.0, 1.0, 0.0, 0.0))
+        )
+        terms = np.zeros((2, len(scaled) + 3, columns))
+        terms[0, :-3] = -(scaled + constant)
+        terms[1, :-3] = 2 * scaled
+        return terms
 
     def by_component(self, rows: Float[np.ndarray, "r 3 c"]) -> Float[np.ndarray, "n c"]:
         """Equations at the collocation points, (r, 3, c), in the order of right-hand sides,

@@ -141,12 +141,12 @@ def indentation_corrections(
                                       the support crosses the patch, and where the mesh misses
                                       next to nothing
     """
-    edge, found = _edge_lengths(surface.mesh), list[IndentationCorrection | None]()
+    edge, corrections = _edge_lengths(surface.mesh), list[IndentationCorrection | None]()
     potentials: dict[Profile, DiscPotentials] = {}
     for load in loads:
         dip = _dip(surface, load, edge, potentials)
-        found.append(None if dip is None else _indentation_correction(surface, edge, dip))
-    return found
+        corrections.append(None if dip is None else _indentation_correction(surface, edge, dip))
+    return corrections
 
 
 def missed_indentation(

@@ -16,11 +16,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
-from palpate.bem.compressed.system import CompressedSystem
 from palpate.bem.integrals.assembly import kernel_integrals
 from palpate.bem.integrals.kelvin import DISPLACEMENT, displacement_parts
 from palpate.bem.integrals.surface import BoundarySurface, Quadrature, triangle_rule
-from palpate.bem.system.matrix import held_columns
 from palpate.bem.system.system import BoundarySystem
 from palpate.geometry import ELEMENT_NODES, QuadraticNodes, element_points, quadratic_shapes
 
@@ -122,9 +120,7 @@ def support_columns(system: BoundarySystem, displacement: Float[np.ndarray, "v 3
     if not columns:
         return RightHand(terms)
     prescribed = np.einsum("hij,hjc->hic", system.unknowns.vertex_directions, displacement[held])
-    if isinstance(system, CompressedSystem):
-        return _compressed_columns(system, held, prescribed)
-    terms[:2] = held_columns(system, prescribed.reshape(-1, columns))
+    terms[:2] = system.held_columns(prescribed.reshape(-1, columns))
     return RightHand(terms)
 
 
@@ -311,19 +307,6 @@ def body_force_columns(
         particular,
         held_traction,
     )
-
-
-def _compressed_columns(
-    system: CompressedSystem, held: Int[np.ndarray, " h"], given: Float[np.ndarray, "h 3 c"]
-) -> RightHand:
-    """These columns by products with the operator."""
-    displacement = np.zeros((len(system.surface.mesh.vertices), 3, given.shape[2]))
-    displacement[held] = given
-    scaled, constant = system.given_products(displacement)
-    terms = np.zeros((3, len(scaled) + 3, given.shape[2]))
-    terms[0, :-3] = -(scaled + constant)
-    terms[1, :-3] = 2 * scaled
-    return RightHand(terms)
 
 
 def _at_sides(

@@ -31,8 +31,8 @@ from palpate.bem.integrals.assembly import Collocation
 from palpate.bem.integrals.surface import BoundarySurface
 from palpate.bem.system.matrix import SystemSlope, matrix_and_slope, system_matrix
 from palpate.bem.system.system import BoundarySystem, Precision, Unknowns, find_unknowns
+from palpate.checkpoints import content_digest
 from palpate.errors import SingularSystemError
-from palpate.parts import content_digest
 from palpate.threads import parallel_algebra
 
 # An unsupported body has less than 3e-14, a sheet 80 times as long as thick more than 1e-12.
@@ -180,7 +180,7 @@ def solve(
 @dataclass(frozen=True, eq=False)
 class CentredSystem:
     """A dense system with its factors at one Poisson's ratio and the derivative of its matrix, both
-    computed when they are first needed, or read from the system's `parts`.
+    computed when they are first needed, or read from the system's `checkpoints`.
 
     Attributes
     ----------
@@ -212,21 +212,21 @@ class CentredSystem:
     @cached_property
     def _factors_and_slope(self) -> tuple[FactorisedSystem, SystemSlope]:
         name = content_digest(("factors", self.poisson_ratio, self.single))
-        factorised, slope = self.system.parts.load_or_make(name, self._compute)
+        factorised, slope = self.system.checkpoints.load_or_make(name, self._compute)
         return replace(factorised, elimination=_system_elimination(self.system)), slope
 
     def _compute(self) -> tuple[FactorisedSystem, SystemSlope]:
         """Both, without the elimination, which holds sparse matrices and is made in no time."""
         if self.single and _SMALLEST_SINGLE < self.system.size <= _LARGEST_SINGLE:
-            found = self._compute_in(np.float32)
-            if found[0].reciprocal_condition > _SMALLEST_SINGLE_RCOND:
-                return found
-            del found
+            factors = self._compute_in(np.float32)
+            if factors[0].reciprocal_condition > _SMALLEST_SINGLE_RCOND:
+                return factors
+            del factors
         return self._compute_in(np.float64)
 
     def _compute_in(self, precision: Precision) -> tuple[FactorisedSystem, SystemSlope]:
-        found, slope = _factorise_with_slope(self.system, self.poisson_ratio, precision=precision)
-        return replace(found, elimination=None), slope
+        factors, slope = _factorise_with_slope(self.system, self.poisson_ratio, precision=precision)
+        return replace(factors, elimination=None), slope
 
 
 def unrestrained_motions(surface: BoundarySurface) -> Float[np.ndarray, "v 3 q"]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg.blas import get_blas_funcs
-from scipy.sparse import csr_array
 
 from palpate.bem.integrals.kelvin import displacement_parts, traction_parts
 from palpate.bem.integrals.surface import integral_weights
@@ -109,37 +108,6 @@ def matrix_and_slope(
 
     for_each_block(system, fill)
     return matrix, slope
-
-
-def held_columns(
-    system: BoundarySystem, basis: Float[np.ndarray, "d c"] | csr_array
-) -> Float[np.ndarray, "2 r c"]:
-    """What displacements of the held vertices add to the right-hand side of the equations.
-
-    Parameters
-    ----------
-    system : BoundarySystem
-    basis : (3 h, c) float or sparse [m]    displacements of the held vertices, three rows each
-
-    Returns
-    -------
-    (2, r, c) float           constant and slope in nu, for a shear modulus of one pascal; rows as
-                              in `system_matrix`
-    """
-    held, columns = system.unknowns.held_vertices, basis.shape[1]
-    terms = np.zeros((2, 3 * system.n_points + 3, columns))
-    equations = terms[:, :-3].reshape(2, 3, system.n_points, columns)
-
-    def add(rows: slice, traction: np.ndarray, _: np.ndarray) -> None:
-        scaled, constant = (
-            (part.transpose(0, 3, 2, 1).reshape(-1, 3 * held.size) @ basis).reshape(3, -1, columns)
-            for part in traction_parts(np.moveaxis(traction[held], 1, 0))
-        )
-        equations[0, :, rows] = -(scaled + constant)
-        equations[1, :, rows] = 2 * scaled
-
-    for_each_block(system, add)
-    return terms
 
 
 def _matrix_to_fill(

@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 
 from palpate.bem.integrals.surface import integral_weights
 from palpate.bem.system.factors import FactorisedSystem, bases, solve
-from palpate.bem.system.matrix import SystemSlope, held_columns
+from palpate.bem.system.matrix import SystemSlope
 from palpate.bem.system.system import BoundarySystem
 from palpate.geometry import triangle_areas
 
@@ -151,7 +151,7 @@ def spring_columns(system: BoundarySystem, springs: Springs) -> Float[np.ndarray
     """
     held = system.unknowns.held_vertices
     basis = springs.displacement_basis[(3 * held[:, None] + np.arange(3)).ravel()]
-    return held_columns(system, basis)
+    return system.held_columns(basis)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

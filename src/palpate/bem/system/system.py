@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_array
 
 from palpate.bem.integrals.assembly import (
     Collocation,
@@ -20,10 +21,10 @@ from palpate.bem.integrals.assembly import (
     kernel_integrals,
     point_blocks,
 )
-from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, TRACTION
+from palpate.bem.integrals.kelvin import DISPLACEMENT, LANES, TRACTION, traction_parts
 from palpate.bem.integrals.surface import BoundarySurface, Quadrature
+from palpate.checkpoints import Cache, Checkpoints, content_digest
 from palpate.geometry import QuadraticNodes, quadratic_shapes
-from palpate.parts import Cache, Parts, content_digest
 from palpate.threads import in_threads
 
 # To be increased with every change of what is kept of a system or how it is computed.
@@ -105,7 +106,7 @@ class BoundarySystem:
     rows : (b, LANES) int                 collocation points in the order of the equations, by
                                           blocks, the last one padded (`point_blocks`)
     quadrature : Quadrature
-    parts : Parts                         where what follows from the equations alone is kept
+    checkpoints : Checkpoints             where what follows from the equations alone is kept
     """
 
     surface: BoundarySurface
@@ -113,7 +114,7 @@ class BoundarySystem:
     collocation: Collocation
     rows: Int[np.ndarray, "b lanes"]
     quadrature: Quadrature
-    parts: Parts = field(default=Parts(None), kw_only=True)
+    checkpoints: Checkpoints = field(default=Checkpoints(None), kw_only=True)
 
     @property
     def traction_length(self) -> float:
@@ -136,6 +137,37 @@ class BoundarySystem:
         """Collocation point of each row of one component."""
         return self.rows.ravel()[: self.n_points]
 
+    def held_columns(
+        self, basis: Float[np.ndarray, "d c"] | csr_array
+    ) -> Float[np.ndarray, "2 r c"]:
+        """What displacements of the held vertices add to the right-hand side of the equations.
+
+        Parameters
+        ----------
+        basis : (3 h, c) float or sparse [m]    displacements of the held vertices, three rows each
+
+        Returns
+        -------
+        (2, r, c) float           constant and slope in nu, for a shear modulus of one pascal; rows
+                                  as in `system_matrix`
+        """
+        held, columns = self.unknowns.held_vertices, basis.shape[1]
+        terms = np.zeros((2, 3 * self.n_points + 3, columns))
+        equations = terms[:, :-3].reshape(2, 3, self.n_points, columns)
+
+        def add(rows: slice, traction: np.ndarray, _: np.ndarray) -> None:
+            scaled, constant = (
+                (part.transpose(0, 3, 2, 1).reshape(-1, 3 * held.size) @ basis).reshape(
+                    3, -1, columns
+                )
+                for part in traction_parts(np.moveaxis(traction[held], 1, 0))
+            )
+            equations[0, :, rows] = -(scaled + constant)
+            equations[1, :, rows] = 2 * scaled
+
+        for_each_block(self, add)
+        return terms
+
 
 def boundary_system(
     surface: BoundarySurface, *, quadrature: Quadrature = Quadrature(), cache: Cache | None = None
@@ -157,9 +189,11 @@ def boundary_system(
     """
     unknowns = find_unknowns(surface)
     collocation = place_collocation(surface, unknowns)
-    parts = Parts(None) if cache is None else Parts(cache, _digest(surface, quadrature), cache=True)
+    checkpoints = Checkpoints(None)
+    if cache is not None:
+        checkpoints = Checkpoints(cache, _digest(surface, quadrature), cache=True)
     rows = point_blocks(collocation.point)
-    return BoundarySystem(surface, unknowns, collocation, rows, quadrature, parts=parts)
+    return BoundarySystem(surface, unknowns, collocation, rows, quadrature, checkpoints=checkpoints)
 
 
 def for_each_block(system: BoundarySystem, use: BlockUse) -> None:

@@ -5,8 +5,9 @@ the outward part of its traction, what a mesh misses of the dip about it, and th
 beside their place.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -48,6 +49,10 @@ _Forces = dict[int, Vector3]
 _FEWER = LoadCells(degree=3, rim_points=3, polar_points=6, coarsest=0, finest=0)
 # Singular value of forces over the largest, below which it is rounding error.
 _NO_FORCE = 1e-12
+# Tractions, and dips, that are integrated at a time: their integrals take a megabyte each on 800
+# vertices, and a session has a dozen for each push.
+_TOGETHER = 64
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,12 +163,14 @@ class LoadTable:
         (2, 3 n, c) float [m Pa]      displacement times shear modulus, constant and slope in
                                       Poisson's ratio
         """
-        missed = np.zeros((2, 3 * len(triangle), len(columns)))
+        missed, wanted = np.zeros((2, 3 * len(triangle), len(columns))), set(columns.tolist())
         for traction in self.tractions:
+            # Of many pushes, few tractions are in any columns.
+            if traction.dip is None or wanted.isdisjoint(traction.columns.tolist()):
+                continue
             _, here, own = np.intersect1d(columns, traction.columns, return_indices=True)
-            if here.size and traction.dip is not None:
-                dip = missed_indentation(surface, traction.dip.dip, triangle, barycentric)
-                missed[:, :, here] += (dip @ traction.dip_force[:, own]).reshape(2, -1, own.size)
+            dip = missed_indentation(surface, traction.dip.dip, triangle, barycentric)
+            missed[:, :, here] += (dip @ traction.dip_force[:, own]).reshape(2, -1, own.size)
         return missed
 
     def integrate(self, system: BoundarySystem) -> tuple[RightHand, BodyForce | None]:
@@ -179,18 +186,18 @@ class LoadTable:
         BodyForce or None             None: there is no weight
         """
         terms = np.zeros((3, 3 * system.n_points + 3, self._ends[-1]))
-        uniform = [each for each in self.tractions if each.is_uniform]
-        spread = [each for each in self.tractions if not each.is_uniform]
-        units = [face_columns(system, each.load.triangles).terms for each in uniform]
-        if spread:
-            every = load_right_hand(system, [each.load for each in spread]).terms
-            units += np.split(every, len(spread), axis=2)
-        for traction, unit in zip(uniform + spread, units, strict=True):
-            terms[:, :, traction.columns] += unit @ traction.force
+        for each in self.tractions:
+            if each.is_uniform:
+                unit = face_columns(system, each.load.triangles).terms
+                terms[:, :, each.columns] += unit @ each.force
+        for part in _slices([each for each in self.tractions if not each.is_uniform]):
+            units = load_right_hand(system, [each.load for each in part]).terms
+            for each, unit in zip(part, np.split(units, len(part), axis=2), strict=True):
+                terms[:, :, each.columns] += unit @ each.force
         dips = [(each.columns, *dip) for each in self.tractions for dip in each.dips()]
-        if dips:
-            corrections = correction_columns(system, [dip for _, dip, _ in dips]).terms
-            for k, (columns, _, factor) in enumerate(dips):
+        for some in _slices(dips):
+            corrections = correction_columns(system, [dip for _, dip, _ in some]).terms
+            for k, (columns, _, factor) in enumerate(some):
                 terms[:, :, columns] += corrections[:, :, k, None] * factor
         for patch in self.pressed.values():
             column = self.pressure_columns(patch.contact)
@@ -256,6 +263,12 @@ def make_load_table(
         )
     ]
     return replace(table, tractions=tuple(tractions))
+
+
+def _slices(items: Sequence[T]) -> Iterator[Sequence[T]]:
+    """Some at a time."""
+    for begin in range(0, len(items), _TOGETHER):
+        yield items[begin : begin + _TOGETHER]
 
 
 def _nominal(

@@ -3,6 +3,7 @@ observations of each probing as functions of its solutions: displacements of its
 motions of supports."""
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,15 +12,16 @@ from scipy.sparse import block_diag, csr_array, eye_array, hstack, kron
 from palpate.bem import (
     BodyForce,
     BoundarySystem,
-    CentredSystem,
     RightHand,
+    Solver,
     Springs,
     check_memory,
     dilation_factor,
     held_system,
+    make_solver,
 )
+from palpate.checkpoints import Cache, content_digest
 from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
-from palpate.parts import Cache
 from palpate.pipeline.model.load_table import LoadTable, make_load_table
 from palpate.pipeline.model.supports import (
     MovingSupport,
@@ -50,7 +52,7 @@ class ObjectModel:
     right : RightHand                     the columns of `loads`
     springs : Springs or None             under compliant supports
     body : BodyForce or None
-    centred : CentredSystem or None       the system, factorised for several models of it to share
+    solver : Solver                       of the system; several models of it may share one
     """
 
     session: Session
@@ -60,8 +62,8 @@ class ObjectModel:
     slides: bool
     right: RightHand
     body: BodyForce | None
+    solver: Solver
     springs: Springs | None = None
-    centred: CentredSystem | None = None
 
     @property
     def gives_motions(self) -> bool:
@@ -134,7 +136,7 @@ def make_object_model(
     right, body = loads.integrate(system)
     return ObjectModel(
         session, system, loads, supports, sliding is not None, right, body,
-        session_springs(session, system), None if like is None else like.centred,
+        make_solver(system) if like is None else like.solver, session_springs(session, system),
     )  # fmt: skip
 
 
@@ -362,7 +364,7 @@ def _seen(
     parts = [(place.triangle, place.barycentric)]
     matrix = csr_array(eye_array(3 * len(place.triangle)))
     if average is not None:
-        around = closest_points(model.session.mesh, average.points)
+        around = _samples(model, average)
         parts.append((around.triangle, around.barycentric))
         matrix = average.averaging_matrix()
     patch = int(model.loads.patch_of[index])
@@ -372,6 +374,16 @@ def _seen(
         matrix = csr_array(block_diag([matrix, eye_array(3)]))
     triangle, barycentric = (np.concatenate(part) for part in zip(*parts, strict=True))
     return _Seen(triangle, barycentric, matrix)
+
+
+def _samples(model: ObjectModel, average: SurfaceAverage) -> SurfacePoints:
+    """Where the sampling points of an average are on the mesh; in memory it is kept for fits of
+    further pushes."""
+    checkpoints = model.system.checkpoints
+    find = partial(closest_points, model.session.mesh, average.points)
+    if not checkpoints.in_memory:
+        return find()
+    return checkpoints.load_or_make(content_digest(("samples", average.points)), find)
 
 
 def _own_perturbations(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from palpate.checkpoints import Checkpoints
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh
-from palpate.parts import Parts
 from palpate.pipeline.motion.sequences import (
     Instant,
     PictureSequence,
@@ -180,7 +180,7 @@ def measured_motions(
         if uses[first.pattern] == 0:
             # It holds pictures, and every probing may have its own.
             del starts[first.pattern]
-        store = Parts(parts, keys.get(sequence.probing, ""))
+        store = Checkpoints(parts, keys.get(sequence.probing, ""))
         for motion in _followed(session, sequence, start, method, store):
             done += 1
             notes = notes.extended(first.pattern, motion.notes)
@@ -320,7 +320,11 @@ def _started(
 
 
 def _followed(
-    session: Session, sequence: PictureSequence, start: _Start, method: FlowMethod, parts: Parts
+    session: Session,
+    sequence: PictureSequence,
+    start: _Start,
+    method: FlowMethod,
+    checkpoints: Checkpoints,
 ) -> Iterator[MeasuredMotion]:
     """Motions of one sequence in temporal order."""
     rig, state, probing = start.rig, start.state, sequence.probing
@@ -337,7 +341,9 @@ def _followed(
         inputs = initial | {f"picture {c}": grey for c, grey in enumerate(pictures.grey)}
         estimated = instant.last and probing is not None
         follow = partial(_follow, method, state, pictures, rig, session.mesh, estimated)
-        state, flow, vertices = parts.load_or_make(f"{probing} {instant.name}", follow, inputs)
+        state, flow, vertices = checkpoints.load_or_make(
+            f"{probing} {instant.name}", follow, inputs
+        )
         order: tuple[str, ...] = ()
         if probing is not None:
             sizes[instant.name] = _typical_motion(flow)

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from palpate.arrays import lengths
+from palpate.checkpoints import content_digest
 from palpate.errors import CalibrationError, InputError, RecordError
 from palpate.geometry import (
     Registration,
@@ -23,7 +24,6 @@ from palpate.geometry import (
     closest_points,
     free_motions_text,
 )
-from palpate.parts import content_digest
 from palpate.records import Camera, Images, Rig, Session, camera_centre, file_sums, read_rig
 from palpate.shapes import Vector3
 from palpate.vision import (
@@ -284,10 +284,10 @@ def _picture_sums(rig: Rig, pattern: str, folder: Path) -> list[dict[str, str]]:
     """Checksum of each camera's picture; empty where it cannot be read."""
     sums = []
     for camera in rig.cameras:
-        found: dict[str, str] = {}
+        sum_of: dict[str, str] = {}
         with suppress(RecordError):
-            found = file_sums([picture_path(camera, pattern, folder)], start=folder)
-        sums.append(found)
+            sum_of = file_sums([picture_path(camera, pattern, folder)], start=folder)
+        sums.append(sum_of)
     return sums
 
 

@@ -102,7 +102,7 @@ def read_displacement(
 def write_displacement(
     path: Path | str, field: DisplacementField, *, metres_per_unit: float = 1.0
 ) -> None:
-    """Write a displacement field as CSV in full precision, including NaN rows.
+    """Write a displacement field as CSV; see `displacement_text`.
 
     Parameters
     ----------
@@ -114,6 +114,21 @@ def write_displacement(
     ------
     RecordError                     the file cannot be written
     """
+    write_text(path, displacement_text(field, metres_per_unit=metres_per_unit))
+
+
+def displacement_text(field: DisplacementField, *, metres_per_unit: float = 1.0) -> str:
+    """A displacement field as CSV in full precision, including NaN rows.
+
+    Parameters
+    ----------
+    field : DisplacementField       in metres
+    metres_per_unit : float [m]     > 0; unit of every length in the text
+
+    Returns
+    -------
+    str
+    """
     names = [*_POSITION_COLUMNS, *_DISPLACEMENT_COLUMNS]
     parts = [field.points / metres_per_unit, field.displacement / metres_per_unit]
     if field.std is not None:
@@ -123,8 +138,7 @@ def write_displacement(
     if field.vertex is not None:
         names.append("vertex")
         rows = [[*row, str(index)] for row, index in zip(rows, field.vertex, strict=True)]
-    lines = [",".join(row) for row in [names, *rows]]
-    write_text(path, "\n".join(lines) + "\n")
+    return "".join(f"{','.join(row)}\n" for row in [names, *rows])
 
 
 def _without_repeated_rows(

@@ -84,10 +84,10 @@ def read_estimate(path: Path | str) -> Estimate:
 
 
 def _check_deviations(
-    where: str, found: Estimate | ProbeEstimate, identifiable: Mapping[str, bool]
+    where: str, estimate: Estimate | ProbeEstimate, identifiable: Mapping[str, bool]
 ) -> None:
     """Refuse standard deviations that contradict their intervals, or each other."""
-    determined = {name: getattr(found, name) for name, known in identifiable.items() if known}
+    determined = {name: getattr(estimate, name) for name, known in identifiable.items() if known}
     for name, constant in determined.items():
         low, high = constant.ci95
         half = 0.5 * (high - low)
@@ -141,11 +141,11 @@ def _read_value(table: TomlTable, key: str, hint: Any) -> Any:
         return None if table.get(key) is None else _read_value(table, key, parts[0])
     if kind in (dict, Mapping):
         inner = table.table(key)
-        found = {name: _read_value(inner, name, parts[1]) for name in inner.values}
-        for name, value in found.items():
+        values = {name: _read_value(inner, name, parts[1]) for name in inner.values}
+        for name, value in values.items():
             if parts[1] is float and value < 0.0:
                 inner.fail(name, f"is {value:g}; must not be negative")
-        return found
+        return values
     if kind is tuple and is_dataclass(parts[0]):
         return tuple(_read_record(each, parts[0]) for each in table.tables(key))  # type: ignore[arg-type]
     if kind is tuple and parts[0] is float:

@@ -1,11 +1,10 @@
-"""Result folders and files: Palpate recognises its own unchanged results and replaces only them.
+"""Result folders: Palpate recognises its own unchanged results and replaces only them.
 
 They are recognised by SHA-256 checksums of their files, in the format of `sha256sum`.
 """
 
 import errno
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -17,19 +16,18 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from palpate.disk import atomic_replacement, roll_back_interrupted
+from palpate.disk import atomic_replacement, put_back_interrupted
 from palpate.errors import InputError, RecordError, print_message
 from palpate.files import checked_file
 from palpate.records.files.series import frame_files
 from palpate.records.files.session import session_file
 from palpate.records.rig import covariance_file
 from palpate.records.text.text_file import read_text, write_text
-from palpate.records.text.toml_table import json_text, nearest_file, read_toml
+from palpate.records.text.toml_table import nearest_file, read_toml
 
 CONTENTS_FILE, INPUTS_FILE = "contents.txt", "inputs.txt"
 _RESULT_FORMAT = "palpate-result/1"
 _EARLIER_MARK = "palpate result folder; files:"
-_SEAL_NAME = "sha256"
 # The one file of a fit that may be made again.
 REPORT_FILE = "report.html"
 # Finished parts are kept after an interruption if the work took at least this long [s].
@@ -93,7 +91,7 @@ def result_folder(target: Path | str, *, kind: str, force: bool = False) -> Iter
     objection = partial(_folder_objection, kind=kind)
     _refuse(target, objection(target), force=force)
     with (
-        atomic_replacement([target], folder=True, keep_old=objection) as (new,),
+        atomic_replacement(target, folder=True, keep_old=objection) as new,
         _keep_long_work(parts_folder(new)),
         disk_errors(target),
     ):
@@ -150,97 +148,28 @@ def record_inputs(folder: Path, files: Iterable[Path]) -> None:
     write_text(folder / INPUTS_FILE, sums_text(file_sums(files, start=folder)))
 
 
-@contextmanager
-def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
-    """A temporary JSON file to write; an existing target is replaced only if `sealed` made it.
-
-    Parameters
-    ----------
-    target : Path                   final name; its folder must exist
-    force : bool                    write even if something else lies there, which is then kept as
-                                    NAME.old
-
-    Yields
-    ------
-    Path                            temporary file next to the target
-
-    Raises
-    ------
-    InputError                      as in `result_folder`
-    """
-    if target.exists() and not target.is_file():
-        kind = "a folder" if target.is_dir() else "no regular file"
-        raise InputError(f"{target}: is {kind}; name a file with --out")
-    _refuse(target, _file_objection(target), force=force)
-    with (
-        atomic_replacement([target], keep_old=lambda old: bool(_file_objection(old))) as (new,),
-        disk_errors(target),
-    ):
-        yield new
-
-
 def check_free(target: Path, *, force: bool = False) -> None:
-    """Refuse to replace a file whose origin cannot be recognised: a picture, a table, a page.
+    """Refuse to replace a file, or to write one into a folder that does not exist, before any work.
 
     Parameters
     ----------
-    target : Path                   file that is to be written
+    target : Path                   file that is to be written: a picture, a table, a page
     force : bool                    a regular file may be replaced
 
     Raises
     ------
-    InputError                      something already lies there
+    InputError                      something already lies there, or no file can
     """
+    if not target.parent.is_dir():
+        raise InputError(
+            f"{target}: cannot be written: {target.parent} is not a folder; make it first"
+        )
     if not os.path.lexists(target) or (force and target.is_file()):
         return
     raise InputError(
         f"{target}: is there already; nothing was touched: choose another name"
         + (", or give --force to replace it" if target.is_file() else "")
     )
-
-
-def sealed(content: Mapping[str, Any], inputs: Iterable[Path], *, folder: Path) -> str:
-    """JSON of a result with the checksums of its inputs and, as the last key, its own checksum.
-
-    Parameters
-    ----------
-    content : mapping               with a key `format`
-    inputs : iterable of Path       input files, or folders of such
-    folder : Path                   folder that the file will be in; names of inputs are relative
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    RecordError                     an input cannot be read
-    """
-    with_inputs = {**content, "inputs": file_sums(inputs, start=folder)}
-    return json_text(
-        {**with_inputs, _SEAL_NAME: hashlib.sha256(json_text(with_inputs).encode()).hexdigest()}
-    )
-
-
-def _is_sealed(text: str) -> bool:
-    """Whether a text is unchanged output of `sealed`.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    bool
-    """
-    try:
-        content = json.loads(text)
-        value = content.pop(_SEAL_NAME)
-        unsealed = json_text(content)
-    except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
-        return False
-    same = hashlib.sha256(unsealed.encode()).hexdigest() == value
-    return same and text == json_text({**content, _SEAL_NAME: value})
 
 
 def folder_changes(folder: Path) -> tuple[str, dict[str, str], dict[str, str]]:
@@ -282,7 +211,7 @@ def check_fit_result(folder: Path) -> None:
     RecordError                     it is something else, was changed, or was copied incompletely
     InUseError                      another process is writing it
     """
-    roll_back_interrupted(folder)
+    put_back_interrupted(folder)
     kind, changed, _ = folder_changes(folder)
     if not folder.exists():
         raise RecordError(
@@ -363,29 +292,15 @@ def _folder_objection(target: Path, kind: str) -> str:
         names = sorted(os.listdir(target))
     if not names:
         return ""
-    found, changed, _ = folder_changes(target)
-    if not found:
+    kind_found, changed, _ = folder_changes(target)
+    if not kind_found:
         if _EARLIER_MARK in _first_line(target):
             return "is a result of an earlier version, which cannot tell whether it was changed"
         return f"holds files that are no result of Palpate's, e.g. {_first_names(names)}"
     if changed:
         descriptions = [f"{name} ({how})" for name, how in changed.items()]
         return f"is a result that was changed since: {_first_names(descriptions)}"
-    return "" if found == kind else f"is a result of `palpate {found}`"
-
-
-def _file_objection(target: Path) -> str:
-    """Why a file may not be replaced; empty if it is an unchanged result, or missing."""
-    if not os.path.lexists(target):
-        return ""
-    try:
-        text = read_text(target)
-    except RecordError:
-        return "is no result of Palpate's"
-    if _is_sealed(text):
-        return ""
-    mark = '"format": "palpate-' in text[:200]
-    return "is a result that was changed since" if mark else "is no result of Palpate's"
+    return "" if kind_found == kind else f"is a result of `palpate {kind_found}`"
 
 
 def _kind(folder: Path) -> str:
@@ -488,7 +403,7 @@ def sums_text(sums: Mapping[str, str]) -> str:
     """
     lines = []
     for name, value in sums.items():
-        plain = re.sub(r"[\\\n\r]", lambda found: _ESCAPES[found[0]], name)
+        plain = re.sub(r"[\\\n\r]", lambda match: _ESCAPES[match[0]], name)
         lines.append(f"{'' if plain == name else chr(92)}{value}  {plain}\n")
     return "".join(lines)
 
@@ -515,14 +430,14 @@ def parsed_sums(text: str) -> dict[str, str]:
 def _changes(folder: Path, sums: Mapping[str, str]) -> dict[str, str]:
     """Files that have changed since their checksums were taken, or are gone: name -> `CHANGED` or
     `MISSING`."""
-    found = {}
+    changes = {}
     for name, value in sums.items():
         path = folder / name
         if not path.is_file():
-            found[name] = MISSING
+            changes[name] = MISSING
         elif file_sum(path) != value:
-            found[name] = CHANGED
-    return found
+            changes[name] = CHANGED
+    return changes
 
 
 def session_files(path: Path | str) -> list[Path]:
@@ -541,23 +456,23 @@ def session_files(path: Path | str) -> list[Path]:
     RecordError                     no session, not readable
     """
     file = session_file(Path(path))
-    found, values = {file}, read_toml(file).values
+    named, values = {file}, read_toml(file).values
     for text in _texts(values):
         pattern = "*".join(re.sub(r"([*?[])", r"[\1]", part) for part in text.split("{camera}"))
         relative = Path(pattern)
         if "\0" in text or not relative.name or len(text) > 1000:
             continue
         start = Path(relative.anchor) if relative.is_absolute() else file.parent
-        found |= set(start.glob(str(relative.relative_to(relative.anchor))))
+        named |= set(start.glob(str(relative.relative_to(relative.anchor))))
     for series in _texts_of(values.get("probe"), "series"):
         # What is no series any more names no frames.
         with suppress(RecordError):
-            found |= set(frame_files(file.parent / series))
+            named |= set(frame_files(file.parent / series))
     rig = values.get("rig")
     if isinstance(rig, dict) and isinstance(rig.get("cameras"), str):
         covariance = covariance_file(file.parent / rig["cameras"])
-        found |= {covariance} if covariance else set()
-    files = set(chain.from_iterable(map(_files_in, found)))
+        named |= {covariance} if covariance else set()
+    files = set(chain.from_iterable(map(_files_in, named)))
     return sorted(path for path in files if path.is_file())
 
 

@@ -129,13 +129,13 @@ def _values(
     units: dict[str, float], default: float,
 ) -> Float[np.ndarray, "n k"]:  # fmt: skip
     """Columns in SI units; an error names the first that is missing."""
-    found = [columns[name] for name in names]
-    if None in found:
+    arrays = [columns[name] for name in names]
+    if None in arrays:
         raise RecordError(
-            f"{rows.path}: the column '{names[found.index(None)]}' is missing; it has"
+            f"{rows.path}: the column '{names[arrays.index(None)]}' is missing; it has"
             f" {rows.listed}: {_CURE}"
         )
-    wanted = [column for column in found if column is not None]
+    wanted = [column for column in arrays if column is not None]
     return rows.factor(wanted, units, default) * rows.values(wanted, finite=True)
 
 
@@ -195,10 +195,10 @@ def _frame(
     values = values[np.isfinite(values[:, :3]).all(axis=1)]
     # Of a point without a neighbour there is none in the row after the last.
     row = cKDTree(values[:, :3]).query(own.points, distance_upper_bound=same)[1]
-    found = np.vstack([values[:, 3:], np.full((1, 3), np.nan)])[row]
-    if not np.isfinite(found).any():
+    frame = np.vstack([values[:, 3:], np.full((1, 3), np.nan)])[row]
+    if not np.isfinite(frame).any():
         raise RecordError(
             f"{path}: none of its points is measured and one of {own.source}; the frames of a"
             " series hold the same points of the surface at rest"
         )
-    return found
+    return frame

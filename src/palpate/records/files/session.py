@@ -12,7 +12,7 @@ import numpy as np
 import tomlkit
 from tomlkit.items import AoT, Table
 
-from palpate.disk import roll_back_interrupted
+from palpate.disk import put_back_interrupted
 from palpate.errors import MeshError, RecordError, quoted
 from palpate.files import is_file
 from palpate.geometry import TriangleMesh, checked_mesh, read_mesh
@@ -145,7 +145,8 @@ def read_session(
 
 
 def session_file(path: Path) -> Path:
-    """Session file of a folder, or the file itself; an interrupted change is rolled back first.
+    """Session file of a folder, or the file itself; a folder whose replacement was
+    interrupted is put back first.
 
     Parameters
     ----------
@@ -160,10 +161,9 @@ def session_file(path: Path) -> Path:
     RecordError                     there is no session file
     InUseError                      another process is changing it
     """
-    roll_back_interrupted(path)
+    put_back_interrupted(path)
     folder = os.path.isdir(path)
     if folder:
-        roll_back_interrupted(path / "session.toml")
         file = path / "session.toml"
         if not os.access(path, os.R_OK | os.X_OK):
             raise RecordError(f"{path}: the folder cannot be read (Permission denied)")

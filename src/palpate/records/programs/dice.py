@@ -255,8 +255,8 @@ def _pose(file: CalibrationFile, node: Element, metres: float) -> Float[np.ndarr
 def _sublists(node: Element, start: str) -> list[Element]:
     """Sublists whose names begin with `start`, in the order of the numbers in their names."""
     lists = node.findall("ParameterList")
-    found = [child for child in lists if child.get("name", "").startswith(start)]
-    return sorted(found, key=lambda child: (len(child.get("name", "")), child.get("name", "")))
+    matching = [child for child in lists if child.get("name", "").startswith(start)]
+    return sorted(matching, key=lambda child: (len(child.get("name", "")), child.get("name", "")))
 
 
 def _values(node: Element) -> dict[str, str]:

@@ -120,8 +120,8 @@ def _camera(
     key = f"CameraParameters{name}"
     # Newer versions store K, older ones its transpose.
     old = "IntrinsicMatrix" in values
-    found = file.entry(values, "IntrinsicMatrix" if old else "K", key)
-    matrix = file.numbers(f"the intrinsic matrix of {key}", found, (3, 3))
+    intrinsic = file.entry(values, "IntrinsicMatrix" if old else "K", key)
+    matrix = file.numbers(f"the intrinsic matrix of {key}", intrinsic, (3, 3))
     matrix = (matrix.T if old else matrix) - [[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]
     radial, tangential = (
         file.numbers(f"{term} of {key}", values.get(term, []), None)
@@ -136,8 +136,8 @@ def _camera(
 
 def _variables(path: Path) -> dict[str, Any]:
     """All variables of a MATLAB file, structures as dictionaries, objects as `_Opaque`."""
-    with open_mat(path) as found:
-        return {name: _value(item) for name, item in found.items()}
+    with open_mat(path) as variables:
+        return {name: _value(item) for name, item in variables.items()}
 
 
 def _tables(content: Any, depth: int = _MAX_DEPTH) -> Iterator[dict[str, Any]]:
@@ -230,8 +230,8 @@ def open_mat(path: Path) -> Iterator[dict[str, Any]]:
             with open_hdf5(path) as file:
                 yield {name: file[name] for name in file if not name.startswith("#")}
         else:
-            found = read_mat(path, what=what, cure=_AGAIN)
-            yield {name: found[name] for name in found if not name.startswith("__")}
+            variables = read_mat(path, what=what, cure=_AGAIN)
+            yield {name: variables[name] for name in variables if not name.startswith("__")}
 
 
 def read_mat(path: Path, *, what: str, cure: str, **options: Any) -> dict[str, Any]:

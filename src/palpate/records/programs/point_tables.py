@@ -90,14 +90,14 @@ def _read_opencorr_points(path: Path, frame: int | None) -> ProgramPoints:
 
 def _lowest_score(table: TextTable, columns: Sequence[Column]) -> PointScalars:
     """The lowest correlation of each row."""
-    found = table.values(columns)
-    if len(beyond := np.argwhere(found > _LARGEST_SCORE)):
+    scores = table.values(columns)
+    if len(beyond := np.argwhere(scores > _LARGEST_SCORE)):
         row, k = beyond[0]
         raise RecordError(
-            f"{table.path}: line {table.numbers[row]}: {columns[k].name} is {found[row, k]:g}; must"
-            " be a correlation, 1 at most (0 or less: a code of failure): is it in per cent?"
+            f"{table.path}: line {table.numbers[row]}: {columns[k].name} is {scores[row, k]:g};"
+            " must be a correlation, 1 at most (0 or less: a code of failure): is it in per cent?"
         )
-    return np.asarray(found.min(axis=1))
+    return np.asarray(scores.min(axis=1))
 
 
 def _opencorr_reason(missing: list[str], *, is_volume: bool) -> str:

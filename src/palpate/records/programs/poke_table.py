@@ -142,16 +142,16 @@ class _Columns:
         rows = {len(self.columns[name]) for name in names}
         if len(rows) > 1:
             raise RecordError(f"{self.path}: {', '.join(names)} have different numbers of rows")
-        found = np.hstack([self.columns[name] for name in names])
-        if found.shape[1] not in widths:
+        values = np.hstack([self.columns[name] for name in names])
+        if values.shape[1] not in widths:
             raise RecordError(
-                f"{self.path}: the {what} has {found.shape[1]} components ({', '.join(names)});"
+                f"{self.path}: the {what} has {values.shape[1]} components ({', '.join(names)});"
                 f" must have {' or '.join(map(str, widths))}"
             )
         first = next(iter(self.columns.values()))
-        if len(found) != len(first):
-            raise RecordError(f"{self.path}: {names[0]} has {len(found)} rows, not {len(first)}")
-        return found
+        if len(values) != len(first):
+            raise RecordError(f"{self.path}: {names[0]} has {len(values)} rows, not {len(first)}")
+        return values
 
     def factor(
         self,
@@ -189,17 +189,17 @@ def _columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     suffix, units = path.suffix.lower(), dict[str, str]()
     if suffix == ".npz":
         with stored_arrays(path, _CURE) as arrays:
-            found = {
+            columns = {
                 name: value.astype(float)
                 for name, value in arrays.items()
                 if value.dtype.kind in "fiu"
             }
     elif suffix == ".mat":
-        found = of_mat(_mat_columns, path)
+        columns = of_mat(_mat_columns, path)
     else:
         table = read_text_table(path, cure=_CURE)
         values = table.values(table.columns)
-        found = {
+        columns = {
             column.name: values[:, column.index]
             for column in table.columns
             # What is there twice is refused: nobody knows which is meant.
@@ -208,7 +208,7 @@ def _columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         units = {column.name: column.unit for column in table.columns if column.unit}
     wide = {
         name: value.reshape(len(value), math.prod(value.shape[1:]))
-        for name, value in found.items()
+        for name, value in columns.items()
         if value.ndim
     }
     if not wide:

@@ -101,12 +101,13 @@ class TextTable:
         ------
         RecordError                 several columns match
         """
-        found = [column for column in self.columns if normalise(column.name) in words]
-        if len(found) > 1:
+        matching = [column for column in self.columns if normalise(column.name) in words]
+        if len(matching) > 1:
             raise RecordError(
-                f"{self.path}: the column '{found[0].name}' is there {len(found)} times; export one"
+                f"{self.path}: the column '{matching[0].name}' is there {len(matching)} times;"
+                " export one"
             )
-        return found[0] if found else None
+        return matching[0] if matching else None
 
     def require(
         self,
@@ -127,13 +128,13 @@ class TextTable:
         ------
         RecordError                 a column is missing, or occurs twice
         """
-        found = {name: self.find(words, normalise=normalise) for name, words in wanted.items()}
-        if missing := [name for name, column in found.items() if column is None]:
+        columns = {name: self.find(words, normalise=normalise) for name, words in wanted.items()}
+        if missing := [name for name, column in columns.items() if column is None]:
             raise RecordError(
                 f"{self.path}: the column '{missing[0]}' is missing; {reason(missing)}; it has:"
                 f" {self.listed}"
             )
-        return [column for column in found.values() if column]
+        return [column for column in columns.values() if column]
 
     def unit(self, wanted: Sequence[Column]) -> str | None:
         """The common unit of some columns, or None if they have none.
@@ -193,16 +194,16 @@ class TextTable:
         RecordError                 text in a cell, a row that is too short or too long, a number
                                     beyond `LARGEST_NUMBER`
         """
-        found = self._values(wanted)
-        refused = np.abs(found) > LARGEST_NUMBER
+        values = self._values(wanted)
+        refused = np.abs(values) > LARGEST_NUMBER
         if not finite:
-            refused &= np.isfinite(found)
+            refused &= np.isfinite(values)
         if refused.any():
             row, k = np.argwhere(refused)[0]
-            raise self._cell_error(self.numbers[row], wanted[k], f"{found[row, k]:g}")
+            raise self._cell_error(self.numbers[row], wanted[k], f"{values[row, k]:g}")
         # Powers of smaller numbers would underflow.
-        found[np.abs(found) < 1.0 / LARGEST_NUMBER] = 0.0
-        return found
+        values[np.abs(values) < 1.0 / LARGEST_NUMBER] = 0.0
+        return values
 
     def _values(self, wanted: Sequence[Column]) -> Float[np.ndarray, "n k"]:
         """As `values`, without the check of their magnitude."""
@@ -220,7 +221,7 @@ class TextTable:
     def _values_slowly(self, wanted: Sequence[Column]) -> Float[np.ndarray, "n k"]:
         """As `_values`, cell by cell, so that errors name line and column."""
         count = len(self.columns)
-        found = np.full((len(self.rows), len(wanted)), np.nan)
+        values = np.full((len(self.rows), len(wanted)), np.nan)
         for i, (number, row) in enumerate(zip(self.numbers, self.rows, strict=True)):
             cells = split_cells(row, self.delimiter)
             if len(cells) < count or any(cell.strip() for cell in cells[count:]):
@@ -229,8 +230,8 @@ class TextTable:
                     " columns: was the file cut off? Export it again"
                 )
             for k, column in enumerate(wanted):
-                found[i, k] = self._number(cells[column.index], number, column)
-        return found
+                values[i, k] = self._number(cells[column.index], number, column)
+        return values
 
     def _number(self, cell: str, line: int, column: Column) -> float:
         word = cell.strip().strip('"').strip()

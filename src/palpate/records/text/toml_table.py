@@ -88,8 +88,8 @@ class TomlTable:
         ------
         RecordError                     the key is missing, or names another format
         """
-        if (found := self.get("format")) != wanted:
-            self.fail("format", f"is {quoted(found)}; this version reads '{wanted}'")
+        if (given := self.get("format")) != wanted:
+            self.fail("format", f"is {quoted(given)}; this version reads '{wanted}'")
 
     def get(self, key: str) -> Any:
         """Value of a required key.
@@ -399,12 +399,12 @@ def read_json(path: Path) -> TomlTable:
     text = read_text(path)
 
     def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        found = dict(pairs)
-        if len(found) < len(pairs):
+        table = dict(pairs)
+        if len(table) < len(pairs):
             names = [name for name, _ in pairs]
             repeated = next(name for name in names if names.count(name) > 1)
             raise RecordError(f"{path}: has {quoted(repeated)} twice in one object; keep one")
-        return found
+        return table
 
     with read_errors(path, "write it again", what="is not valid JSON"):
         content = json.loads(text, object_pairs_hook=unique_keys)

@@ -210,13 +210,13 @@ class JointFlow:
         return vertex_displacement(flow, camera, surface.vertices, surface.triangles)
 
     def averaged(
-        self, found: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh
+        self, displacement: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh
     ) -> VertexDisplacement:
         """Add the averaging of the surface's displacement by the windows (`surface_average`).
 
         Parameters
         ----------
-        found : VertexDisplacement      from `vertices`
+        displacement : VertexDisplacement      from `vertices`
         flow : RangeFlow
         rig : Rig
         surface : TriangleMesh          of v vertices
@@ -226,7 +226,7 @@ class JointFlow:
         VertexDisplacement              unchanged for the shape function "shift"
         """
         order = BASES[self.shape] // 3
-        return found if order == 0 else with_average(found, flow, rig, surface, order)
+        return displacement if order == 0 else with_average(displacement, flow, rig, surface, order)
 
     def _flow(
         self,
@@ -293,9 +293,9 @@ def _flow_start(
         step, trusted = search.at(old[c])
         sure = scene.seen[:, c] & known & trusted
         target[c, sure] = old[c, sure] + step[sure]
-    found = triangulate(scene.rig, target, _START_ERROR_PX)
-    good = (found.cameras >= 2) & (found.residual < _MAX_START_RESIDUAL_PX)
-    return _smooth_start(scene, found.point - scene.point, found.covariance, good)
+    points = triangulate(scene.rig, target, _START_ERROR_PX)
+    good = (points.cameras >= 2) & (points.residual < _MAX_START_RESIDUAL_PX)
+    return _smooth_start(scene, points.point - scene.point, points.covariance, good)
 
 
 def _hardly_moved(
@@ -307,9 +307,9 @@ def _hardly_moved(
     scale = 255.0 / max(float(before.max()), float(now.max()), 1.0)
     first, second = (cv2.convertScaleAbs(picture, alpha=scale) for picture in (before, now))
     start = place.astype(np.float32)
-    after, found, _ = cv2.calcOpticalFlowPyrLK(first, second, start, start.copy(), maxLevel=2)
+    after, tracked, _ = cv2.calcOpticalFlowPyrLK(first, second, start, start.copy(), maxLevel=2)
     far = np.linalg.norm(after - start, axis=1) > _NEAR_PX
-    return bool((far | (found.ravel() == 0)).mean() < _FEW)
+    return bool((far | (tracked.ravel() == 0)).mean() < _FEW)
 
 
 def _smooth_start(
@@ -357,8 +357,8 @@ def _completed(
     `whole` is that motion for the points `rows`, composed of `last` and of the flow `further` from
     there.
     """
-    found, directly = is_valid(further), is_valid(direct)[rows]
-    both, take = found & directly, found & ~directly
+    measured, directly = is_valid(further), is_valid(direct)[rows]
+    both, take = measured & directly, measured & ~directly
     drift = np.nan
     if both.any():
         difference = whole[both, 0] - direct.displacement[rows[both]]
@@ -372,7 +372,7 @@ def _completed(
         "reprojection": further.reprojection,
         "cameras": further.cameras,
         "outcome": further.outcome,
-        "through_last": found,
+        "through_last": measured,
     }
     arrays: dict[str, Any] = {
         name: with_rows(getattr(direct, name), rows[take], value[take])

@@ -109,9 +109,9 @@ def _refined(
     limits: Limits,
 ) -> Match:
     """The refinement, with covariances scaled by each match's own residual variance."""
-    found = refine_joint(scene, rows, moved, start, cameras, noise, limits)
+    matches = refine_joint(scene, rows, moved, start, cameras, noise, limits)
     # `noise` is that of the whole picture; a window with a larger residual is less certain.
-    return found._replace(covariance=found.covariance * _excess(found, noise)[:, None, None])
+    return matches._replace(covariance=matches.covariance * _excess(matches, noise)[:, None, None])
 
 
 def _used_cameras(match: Match) -> Bool[np.ndarray, "n c"]:
@@ -154,10 +154,10 @@ def _excess(match: Match, noise: Float[np.ndarray, " c"]) -> Float[np.ndarray, "
 
 def _noise(match: Match) -> Float[np.ndarray, " c"]:
     """Residual standard deviation in each camera, from the median over points [grey levels]."""
-    found = match.outcome == Outcome.VALID
+    valid = match.outcome == Outcome.VALID
     noise = np.ones(match.residual_variance.shape[1])
     for c in range(len(noise)):
-        residuals = match.residual_variance[found & np.isfinite(match.residual_variance[:, c]), c]
+        residuals = match.residual_variance[valid & np.isfinite(match.residual_variance[:, c]), c]
         if len(residuals) > 0:
             # At least the rounding noise of two pictures in whole grey levels.
             noise[c] = np.sqrt(max(float(np.median(residuals)), 1.0 / 6.0))
@@ -436,9 +436,9 @@ def _variance_inflation(scene: Scene, match: Match) -> Float[np.ndarray, " n"]:
     Median of `Match.variance_ratio` over the neighbourhood, at least 1, divided by
     `_fraction_in_blocks`.
     """
-    found = match.outcome == Outcome.VALID
+    valid = match.outcome == Outcome.VALID
     # The estimate from a single window is noisy: it rests on about 27 blocks.
-    inflation = median_around(scene.point, match.variance_ratio, found, reach=_neighbourhood(scene))
+    inflation = median_around(scene.point, match.variance_ratio, valid, reach=_neighbourhood(scene))
     return np.asarray(np.maximum(inflation, 1.0) / _fraction_in_blocks(scene))
 
 

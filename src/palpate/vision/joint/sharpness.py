@@ -66,11 +66,11 @@ def equally_sharp(
         seen = there, later
         if scene.smoothing < _SMOOTHING:
             seen = _blurred(scene, now, variance_difference, _SMOOTHING)
-        found, error = _relative_variance(*seen, rows, start[rows])
-        sure = np.abs(found) > _SIGNIFICANT * error
+        variance, error = _relative_variance(*seen, rows, start[rows])
+        sure = np.abs(variance) > _SIGNIFICANT * error
         if not sure.any():
             break
-        variance_difference += np.where(sure, found, 0.0)
+        variance_difference += np.where(sure, variance, 0.0)
         there, later = _blurred(scene, now, variance_difference, scene.smoothing)
     return there, later
 
@@ -107,15 +107,15 @@ def _relative_variance(
     limits = Limits(scene.subset // 2)
     noise = np.ones(len(later))
     match = refine_joint(scene, rows, later, start, scene.seen[rows], noise, limits)
-    found, error = np.zeros(len(later)), np.full(len(later), np.inf)
+    variance, error = np.zeros(len(later)), np.full(len(later), np.inf)
     for c, picture in enumerate(later):
         variances = _window_variances(scene, picture, rows, match, c)
         if len(variances) >= _MIN_WINDOWS:
-            found[c] = np.median(variances)
+            variance[c] = np.median(variances)
             # Standard error of the median, from the interquartile range.
             sigma = np.subtract(*np.quantile(variances, [0.75, 0.25])) / 1.349
             error[c] = 1.2533 * sigma / np.sqrt(len(variances))
-    return found, error
+    return variance, error
 
 
 def _window_variances(
@@ -130,12 +130,12 @@ def _window_variances(
         # A spline's Laplacian at the pixel centres has the Laplacian of its coefficients.
         cv2.Laplacian(later.coefficients, cv2.CV_32F),
     )  # fmt: skip
-    found = np.empty(len(kept))
+    variance = np.empty(len(kept))
     in_threads(
         _window_variances_kernel, len(kept), instants, surface_points(scene, rows[kept]),
-        match.motion[kept], scene.subset // 2, found, min_items=_MIN_WINDOWS,
+        match.motion[kept], scene.subset // 2, variance, min_items=_MIN_WINDOWS,
     )  # fmt: skip
-    return found
+    return variance
 
 
 class _CameraInstants(NamedTuple):
@@ -160,7 +160,7 @@ class _CameraInstants(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _window_variances_kernel(begin, end, instants, points, motion, half, found):
+def _window_variances_kernel(begin, end, instants, points, motion, half, variance):
     """Later blur variance minus that of the first picture, for the windows from `begin` to `end`.
 
     Parameters
@@ -170,7 +170,7 @@ def _window_variances_kernel(begin, end, instants, points, motion, half, found):
     points : SurfacePoints                  of w windows
     motion : (w, 6, 3) float [m]            see `Match`
     half : int [px]                         half the side of a window, rounded down
-    found : (w,) float [px^2]               filled: the later picture regressed on half the
+    variance : (w,) float [px^2]               filled: the later picture regressed on half the
                                             Laplacian, without what illumination explains
     """
     pixels = (2 * half + 1) ** 2
@@ -190,7 +190,7 @@ def _window_variances_kernel(begin, end, instants, points, motion, half, found):
                 _remove(basis[b, :count], basis[a, :count])
             _remove(basis[a, :count], laplacian)
             _remove(basis[a, :count], difference)
-        found[w] = 2.0 * _product(laplacian, difference) / _product(laplacian, laplacian)
+        variance[w] = 2.0 * _product(laplacian, difference) / _product(laplacian, laplacian)
 
 
 @njit(cache=True, error_model="numpy")

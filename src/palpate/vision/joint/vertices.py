@@ -134,13 +134,13 @@ def vertex_displacement(
 
 
 def with_average(
-    found: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh, order: int
+    displacement: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh, order: int
 ) -> VertexDisplacement:
     """Add the weighted average of the surface's displacement that each vertex value represents.
 
     Parameters
     ----------
-    found : VertexDisplacement      of v vertices, from `flow`
+    displacement : VertexDisplacement      of v vertices, from `flow`
     flow : RangeFlow
     rig : Rig
     surface : TriangleMesh          of v vertices
@@ -150,9 +150,9 @@ def with_average(
     -------
     VertexDisplacement
     """
-    valid, rows = is_valid(flow), np.flatnonzero(measured_vertices(found))
+    valid, rows = is_valid(flow), np.flatnonzero(measured_vertices(displacement))
     if len(rows) == 0:
-        return found
+        return displacement
     scatter, camera = _scatter(flow, valid), rig.cameras[rig.reference]
     half = _half_window(scatter, camera)
     normal = vertex_normals(surface.vertices, surface.triangles)
@@ -162,7 +162,7 @@ def with_average(
     )  # fmt: skip
     bends = local_fits(scatter, scatter.point, flow.tangent[valid], reach=BEND_REACH * half)
     average = _surface_average(flow.subset, rig, surface, vertices, bends, order)
-    return replace(found, average=average.embedded(rows, len(surface.vertices)))
+    return replace(displacement, average=average.embedded(rows, len(surface.vertices)))
 
 
 def _scatter(flow: RangeFlow, valid: Flags) -> Scatter:
@@ -306,11 +306,11 @@ def _cut(surface: TriangleMesh, side: float, points: Points) -> _Pieces:
     fitted = displacement_nodes(surface, split_sides(surface, whole))
     nodes = np.concatenate([surface.vertices, fitted.weights @ surface.vertices])
     middles = piece_middles(cuts)
-    found = element_points(nodes[fitted.element[near]], middles).reshape(-1, 6)
+    corners = element_points(nodes[fitted.element[near]], middles).reshape(-1, 6)
     owner, place = np.repeat(near, cuts**2), np.tile(middles, (len(near), 1))
     from_nodes = interpolation_matrix(free_nodes(fitted), owner, place)
     # Area normals of parallelograms, twice those of the pieces.
-    return _Pieces(found[:, :3], 0.5 * found[:, 3:] / cuts**2, nodes, from_nodes)
+    return _Pieces(corners[:, :3], 0.5 * corners[:, 3:] / cuts**2, nodes, from_nodes)
 
 
 def _windows(
@@ -356,9 +356,9 @@ def _in_windows(
     # A piece counts by the fraction inside, in a window shrunk so that its second moment is right.
     half = 0.5 * np.sqrt(np.maximum(subset**2 - cover, 0.0))
     widest = 0.5 * (subset + side.max(initial=0.0))
-    found = cKDTree(pixel).query_ball_point(centre, widest, p=np.inf)
-    first = np.repeat(np.arange(len(seen)), list(map(len, found)))
-    second = np.concatenate([*found, []]).astype(np.int64)
+    inside = cKDTree(pixel).query_ball_point(centre, widest, p=np.inf)
+    first = np.repeat(np.arange(len(seen)), list(map(len, inside)))
+    second = np.concatenate([*inside, []]).astype(np.int64)
     offset = np.abs(pixel[second] - centre[first])
     beyond = (offset - half[second, None]) / side[second, None]
     fraction = np.clip(0.5 - beyond, 0.0, 1.0).prod(axis=1)

@@ -205,12 +205,12 @@ class LangPaiFlow:
         _check_pictures(state.rig, pictures, state.head.shape)
         after = make_instant(state.head, pictures, state.limits)
         rows = np.flatnonzero(state.track.outcome == Outcome.VALID)
-        found = vote(
+        votes = vote(
             state.instant, after, state.head.views, state.track.pixel[rows],
             subset=self.subset, search=self.search,
         )  # fmt: skip
         names = [field.name for field in fields(Vote)]
-        track = Vote(*(with_rows(getattr(state.track, k), rows, getattr(found, k)) for k in names))
+        track = Vote(*(with_rows(getattr(state.track, k), rows, getattr(votes, k)) for k in names))
         state = replace(state, instant=after, track=track, steps=state.steps + 1)
         return state, self._flow(state)
 
@@ -230,22 +230,22 @@ class LangPaiFlow:
         return lang_pai_vertices(flow, surface.vertices, surface.triangles)
 
     def averaged(
-        self, found: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh
+        self, displacement: VertexDisplacement, flow: RangeFlow, rig: Rig, surface: TriangleMesh
     ) -> VertexDisplacement:
         """Return the displacements unchanged: the averaging by the windows is not known here.
 
         Parameters
         ----------
-        found : VertexDisplacement
+        displacement : VertexDisplacement
         flow : RangeFlow                not used
         rig : Rig                       not used
         surface : TriangleMesh          not used
 
         Returns
         -------
-        VertexDisplacement              `found`
+        VertexDisplacement              `displacement`
         """
-        return found
+        return displacement
 
     def _flow(self, state: LangPaiState) -> RangeFlow:
         """Displacement since the first instant."""

@@ -99,7 +99,7 @@ def vote(
     the reference's own maximum, which needs no disparity, is taken over all pixels.
     """
     n = len(pixel)
-    found = Vote(
+    votes = Vote(
         np.array(pixel, dtype=np.int64, order="C"),
         np.full(n, np.nan),
         np.full(n, np.nan),
@@ -114,14 +114,14 @@ def vote(
     in_threads(
         _vote_range, n, before.pictures, after.pictures, before.disparity, after.disparity, scale,
         *shifts, half, search // 2,
-        found.pixel, found.score, found.distance, found.agreed, found.outcome,
+        votes.pixel, votes.score, votes.distance, votes.agreed, votes.outcome,
     )  # fmt: skip
-    return found
+    return votes
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _vote_range(
-    begin, end, before, after, near, far, scale, along, ratio, offset, half, reach, found, score,
+    begin, end, before, after, near, far, scale, along, ratio, offset, half, reach, votes, score,
     distance, agreed, outcome,
 ):  # fmt: skip
     """Vote for the pixels from `begin` to `end`; `near` and `far`: disparities before and after;
@@ -130,7 +130,7 @@ def _vote_range(
     window = np.empty((cameras, (2 * half + 1) ** 2))
     table = np.empty((cameras, side, side))
     for i in range(begin, end):
-        column, row = found[i]
+        column, row = votes[i]
         outcome[i] = _start_windows(
             before, near[row, column], along, ratio, offset, column, row, half, window
         )
@@ -156,8 +156,8 @@ def _vote_range(
             outcome[i] = _OUTSIDE
             agreed[i] = 0
             continue
-        found[i, 0] = column + x - reach
-        found[i, 1] = row + y - reach
+        votes[i, 0] = column + x - reach
+        votes[i, 1] = row + y - reach
         score[i] = lowest
         distance[i] = np.sqrt(square / cameras)
         if total / cameras < _MIN_SCORE:

@@ -99,9 +99,9 @@ class DenseStart:
         folded = np.full((1 + len(place) // _FOLD, _FOLD, 2), -_FOLD, dtype=np.float32)
         folded.reshape(-1, 2)[: len(place)] = place
         layers = np.dstack([self.flow, self.trusted.astype(np.float32)])
-        found = cv2.remap(layers, folded, NOT_GIVEN, cv2.INTER_LINEAR)
-        found = found.reshape(-1, 3)[: len(place)]
-        return found[:, :2], found[:, 2] > 0.5
+        layers_there = cv2.remap(layers, folded, NOT_GIVEN, cv2.INTER_LINEAR)
+        layers_there = layers_there.reshape(-1, 3)[: len(place)]
+        return layers_there[:, :2], layers_there[:, 2] > 0.5
 
 
 # For every pixel of the rest picture, and of the moved one: the motion into the other [px]; a flag.
@@ -257,9 +257,9 @@ def _fits(
     `gap` is the forward-backward residual; `limits` apply to it and to the roughness [px].
     """
     place = _grid(a.grey.shape) + there
-    found = sampled(b.grey, place)
-    mean, variance = moments(found)
-    common = cv2.blur(a.grey * found, (WINDOW, WINDOW)) - a.mean * mean
+    grey = sampled(b.grey, place)
+    mean, variance = moments(grey)
+    common = cv2.blur(a.grey * grey, (WINDOW, WINDOW)) - a.mean * mean
     # The constant avoids 0 / 0; it is negligible beside the quantisation noise.
     score = common / np.sqrt(a.variance * variance + np.float32(1e-6))
     roughness = there - cv2.blur(there, (WINDOW, WINDOW))
@@ -364,7 +364,7 @@ def _repaired(
 
     The flags mark pixels whose extrapolated motion stays within the other picture.
     """
-    found, inside = [], []
+    repaired, inside = [], []
     for here, other, known, before, given in (
         (a, b, explained[0], motions[0], samples),
         (b, a, explained[1], motions[1], samples.reversed()),
@@ -372,8 +372,8 @@ def _repaired(
         start = np.where(known[..., None], before, interpolated(given, known.shape))
         inside.append(_inside(_grid(known.shape) + start))
         change = _search(here.levels, _brought_back(other, start), _ROUGH_SCALE)
-        found.append(_composed(change, start))
-    return (found[0], found[1]), (inside[0], inside[1])
+        repaired.append(_composed(change, start))
+    return (repaired[0], repaired[1]), (inside[0], inside[1])
 
 
 def _brought_back(

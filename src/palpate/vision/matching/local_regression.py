@@ -136,8 +136,8 @@ def local_field(
         float(scatter.subset), radius, _TERMS[order], value, gradient, curvature, covariance,
         weight, bend, min_items=_MIN_PLACES_PER_THREAD,
     )  # fmt: skip
-    found = (nearest >= 0).sum(axis=1)
-    return LocalField(value, gradient, curvature, covariance, found, nearest, weight, bend)
+    neighbours = (nearest >= 0).sum(axis=1)
+    return LocalField(value, gradient, curvature, covariance, neighbours, nearest, weight, bend)
 
 
 def nearest_within(
@@ -164,14 +164,14 @@ def nearest_within(
     if len(point) > 0:
         count = min(_MAX_POINTS, len(point))
         farthest = reach if min_points is None else 2.0 * reach
-        away, found = cKDTree(point).query(place, k=count, distance_upper_bound=farthest)
-        away, found = away.reshape(len(place), count), found.reshape(len(place), count)
+        away, index = cKDTree(point).query(place, k=count, distance_upper_bound=farthest)
+        away, index = away.reshape(len(place), count), index.reshape(len(place), count)
         if min_points is not None:
             last = np.minimum(away[:, min(min_points, count) - 1], farthest)
             # Slightly larger, so that the last point has some weight.
             radius = np.maximum(reach, 1.1 * last)
-        inside = (found < len(point)) & (away < radius[:, None])
-        nearest[:, :count] = np.where(inside, found, -1)
+        inside = (index < len(point)) & (away < radius[:, None])
+        nearest[:, :count] = np.where(inside, index, -1)
     return nearest, radius
 
 

@@ -189,9 +189,9 @@ def _nearest(point: Points, valid: Flags, reach: float) -> Int[np.ndarray, "n k"
     if len(rows) == 0:
         return near
     many = min(_MAX_NEIGHBOURS + 1, len(rows))
-    _, found = cKDTree(point[rows]).query(point, k=many, distance_upper_bound=reach)
-    found = found.reshape(len(point), many)
-    index = np.where(found < len(rows), np.append(rows, -1)[np.minimum(found, len(rows))], -1)
+    _, nearest = cKDTree(point[rows]).query(point, k=many, distance_upper_bound=reach)
+    nearest = nearest.reshape(len(point), many)
+    index = np.where(nearest < len(rows), np.append(rows, -1)[np.minimum(nearest, len(rows))], -1)
     index = np.where(index == np.arange(len(point))[:, None], -1, index)
     # Missing neighbours go to the end; the order of the others is kept.
     order = np.argsort(index < 0, axis=1, kind="stable")

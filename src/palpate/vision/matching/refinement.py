@@ -102,14 +102,14 @@ def refine_joint(
     Baker and Matthews, Lucas-Kanade 20 years on, International Journal of Computer Vision 56
     (2004), for the inverse-compositional algorithm.
     """
-    found = _nothing_found(cameras)
+    matches = _nothing_found(cameras)
     in_threads(
         _refine_range, len(rows), _first_instant(scene),
         _padded_to_four([picture.coefficients for picture in moved]), surface_points(scene, rows),
-        np.ascontiguousarray(start), np.isfinite(start).all(axis=(1, 2)), noise, limits, found,
+        np.ascontiguousarray(start), np.isfinite(start).all(axis=(1, 2)), noise, limits, matches,
         min_items=_MIN_POINTS_PER_THREAD,
     )  # fmt: skip
-    return found
+    return matches
 
 
 def _first_instant(scene: Scene) -> _FirstInstant:
@@ -156,19 +156,19 @@ def _nothing_found(cameras: Bool[np.ndarray, "n c"]) -> Match:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _refine_range(begin, end, first, moved, points, start, known, noise, limits, found):
+def _refine_range(begin, end, first, moved, points, start, known, noise, limits, matches):
     """`refine_joint` for the points from `begin` to `end`."""
     work = _make_work(len(noise), limits.half, limits.bases)
-    outcome = found.outcome
+    outcome = matches.outcome
     for i in range(begin, end):
         if not known[i]:
             continue
         _set_kernel(work.q, start[i])
-        outcome[i] = _prepare_kernel(first, points, i, found.cameras[i], noise, limits, work)
+        outcome[i] = _prepare_kernel(first, points, i, matches.cameras[i], noise, limits, work)
         if outcome[i] == _VALID:
             outcome[i] = _iterate_kernel(first, moved, points, i, start[i], noise, limits, work)
         if outcome[i] == _VALID:
-            _conclude_kernel(i, noise, limits, work, found)
+            _conclude_kernel(i, noise, limits, work, matches)
 
 
 @njit(cache=True, error_model="numpy")
@@ -291,19 +291,19 @@ def _eliminate_kernel(c, mean, work):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _conclude_kernel(i, noise, limits, work, found):
+def _conclude_kernel(i, noise, limits, work, matches):
     """Store the motion of a point, its covariance, and the residuals in each camera.
 
     The residuals follow from those before the last step, which is far below their noise.
     """
     bases, views = limits.bases, len(noise)
-    score, own_step = found.score[i], found.own_step[i]
-    residual_variance = found.residual_variance[i]
-    _set_kernel(found.motion[i], work.q)
+    score, own_step = matches.score[i], matches.own_step[i]
+    residual_variance = matches.residual_variance[i]
+    _set_kernel(matches.motion[i], work.q)
     cholesky_inverse_kernel(work.hessian, work.inverse)
     for a in range(3):
         for b in range(3):
-            found.covariance[i, a, b] = work.inverse[a * bases, b * bases]
+            matches.covariance[i, a, b] = work.inverse[a * bases, b * bases]
     seen = 0
     for c in range(views):
         seen += work.active[c]
@@ -329,7 +329,7 @@ def _conclude_kernel(i, noise, limits, work, found):
         robust += _robust_variance_kernel(
             work.mapping[c], work.inverse, 1.0 / noise[c] ** 2, work.blocks, work.influence
         )
-        found.own_variance[i, c] = residual_variance[c] * _own_step_kernel(
+        matches.own_variance[i, c] = residual_variance[c] * _own_step_kernel(
             work.normal[c], work.own, work.right[c, : 2 * bases], own_step[c]
         )
     for a in range(3):
@@ -338,7 +338,7 @@ def _conclude_kernel(i, noise, limits, work, found):
     blocks = seen * BLOCKS * BLOCKS
     correction = blocks / max(blocks - 3.0 * bases, 1.0)
     # Identical pictures leave no residual: treated as white.
-    found.variance_ratio[i] = correction * robust / (white * excess) if excess > 0.0 else 1.0
+    matches.variance_ratio[i] = correction * robust / (white * excess) if excess > 0.0 else 1.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -360,8 +360,8 @@ def _robust_variance_kernel(mapping, inverse, factor, blocks, influence):
 
 
 @njit(cache=True, error_model="numpy")
-def _own_step_kernel(normal, own, step, found):
-    """Write the further step that one camera alone would take into `found`, (2,) [px].
+def _own_step_kernel(normal, own, step, further):
+    """Write the further step that one camera alone would take into `further`, (2,) [px].
 
     `normal` (2 terms, 2 terms) and `step` (2 bases,), its right-hand side, are without the heights,
     which come last: in a flat window they determine nothing. `own` (2 bases, 2 bases) is scratch.
@@ -371,8 +371,8 @@ def _own_step_kernel(normal, own, step, found):
     if not cholesky_kernel(own):
         return np.nan
     cholesky_solve_kernel(own, step)
-    found[0] = -step[0]
-    found[1] = -step[1]
+    further[0] = -step[0]
+    further[1] = -step[1]
     variance = 0.0
     for a in range(2):
         for k in range(len(step)):

@@ -181,10 +181,10 @@ def _disparity(
         size = (grey[0].shape[1] // 2, grey[0].shape[0] // 2)
         grey = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in grey]
         shrink *= 2
-    found = shrink * _semi_global(grey[0], grey[1], low / shrink, high / shrink)
+    disparity = shrink * _semi_global(grey[0], grey[1], low / shrink, high / shrink)
     if shrink > 1:
-        found = cv2.resize(found, shape[::-1], interpolation=cv2.INTER_NEAREST)
-    return found
+        disparity = cv2.resize(disparity, shape[::-1], interpolation=cv2.INTER_NEAREST)
+    return disparity
 
 
 def _semi_global(
@@ -217,8 +217,8 @@ def _semi_global(
         cv2.copyMakeBorder(picture, 0, 0, left, right, cv2.BORDER_CONSTANT, value=_GREY)
         for picture in (first, second)
     ]
-    found = matcher.compute(wide[0], wide[1])[:, left : left + first.shape[1]] / 16.0
-    return np.where(found < lowest, np.nan, found)
+    disparity = matcher.compute(wide[0], wide[1])[:, left : left + first.shape[1]] / 16.0
+    return np.where(disparity < lowest, np.nan, disparity)
 
 
 def _corrected(pair: _Pair) -> Rectified:

@@ -99,26 +99,26 @@ def _all_matches(pictures: PreparedPictures) -> _Pairs:
     pairs = {}
     for i, j in combinations(range(len(cameras)), 2):
         matches = match_features(pictures.features[i], pictures.features[j])
-        found = _consistent(cameras[i], cameras[j], matches)
-        pairs[i, j], pairs[j, i] = found, found.reversed()
+        consistent = _consistent(cameras[i], cameras[j], matches)
+        pairs[i, j], pairs[j, i] = consistent, consistent.reversed()
     return pairs
 
 
-def _consistent(first: Camera, second: Camera, found: Samples) -> Samples:
+def _consistent(first: Camera, second: Camera, matches: Samples) -> Samples:
     """The matches consistent with a common epipolar geometry of any kind; none if most are not.
 
     Any seven matches fit some epipolar geometry, but few further random ones do.
     """
-    flat = [_undistorted(first, found.point), _undistorted(second, found.moved)]
+    flat = [_undistorted(first, matches.point), _undistorted(second, matches.moved)]
     known = np.flatnonzero(np.isfinite(np.hstack(flat)).all(axis=1))
-    nothing = found.chosen(known[:0])
+    nothing = matches.chosen(known[:0])
     if len(known) < _MIN_MATCHES:
         return nothing
     a, b = (pixels[known] for pixels in flat)
     _, inlier = cv2.findFundamentalMat(a, b, cv2.FM_RANSAC, _MAX_RESIDUAL_PX, 0.999)
     if inlier is None or inlier.sum() - 7 < 0.5 * (len(known) - 7):
         return nothing
-    return found.chosen(known[inlier.ravel() > 0])
+    return matches.chosen(known[inlier.ravel() > 0])
 
 
 def _undistorted(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
@@ -131,20 +131,20 @@ def _misfit(rig: Rig, order: tuple[int, ...], pairs: _Pairs, which: tuple[int, i
 
     `order[k]` is the camera that picture k is assigned to.
     """
-    found = pairs[which]
+    chosen = pairs[which]
     first, second = (rig.cameras[order[k]] for k in which)
-    distance = _epipolar_distance(first, second, found)
+    distance = _epipolar_distance(first, second, chosen)
     known = np.isfinite(distance)
     if known.sum() < _MIN_MATCHES:
         return float("inf")
-    pixels = np.stack([found.point[known], found.moved[known]])
+    pixels = np.stack([chosen.point[known], chosen.moved[known]])
     in_front = np.isfinite(triangulate(Rig((first, second), 0, rig.source), pixels, 1.0).residual)
     return float(np.median(distance[known])) if in_front.mean() > 0.5 else float("inf")
 
 
-def _epipolar_distance(first: Camera, second: Camera, found: Samples) -> PointScalars:
+def _epipolar_distance(first: Camera, second: Camera, matches: Samples) -> PointScalars:
     """Distance of matches from each other's epipolar lines, mean over the two pictures [px]."""
-    a, b = normalised(first, found.point), normalised(second, found.moved)
+    a, b = normalised(first, matches.point), normalised(second, matches.moved)
     between = second.T_camera_object @ np.linalg.inv(first.T_camera_object)
     x, y, z = between[:3, 3]
     essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ between[:3, :3]
@@ -164,10 +164,10 @@ def _line_distance(
 
 def _feature_error(rig: Rig, pairs: _Pairs, which: tuple[int, int]) -> float:
     """Median distance from the epipolar lines of the geometry that fits the features best [px]."""
-    found = pairs[which]
+    chosen = pairs[which]
     a, b = (
         _undistorted(rig.cameras[k], pixels)
-        for k, pixels in zip(which, (found.point, found.moved), strict=True)
+        for k, pixels in zip(which, (chosen.point, chosen.moved), strict=True)
     )
     matrix, _ = cv2.findFundamentalMat(a, b, cv2.FM_LMEDS)
     if matrix is None or matrix.shape != (3, 3):

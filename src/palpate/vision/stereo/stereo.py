@@ -160,7 +160,7 @@ def stereo_matches(
     cell, pixel = _grid(wanted & pictures.normalised[reference].textured, settings.step)
     untextured = len(_grid(wanted, settings.step)[0]) - len(pixel)
     splines = [make_spline_picture(grey) for grey in pictures.grey]
-    found: dict[int, WindowMatches] = {}
+    by_camera: dict[int, WindowMatches] = {}
     failures: list[InputError] = []
     for k, spline in enumerate(splines):
         if k == reference:
@@ -171,10 +171,10 @@ def stereo_matches(
             failures.append(failure)
             continue
         matches = window_matches(splines[reference], spline, pixel, start, subset=settings.subset)
-        found[k] = confirmed_matches(matches, cell, pixel)
-    if not found:
+        by_camera[k] = confirmed_matches(matches, cell, pixel)
+    if not by_camera:
         raise failures[0]
-    outcomes = np.stack([matches.outcome for matches in found.values()])
+    outcomes = np.stack([matches.outcome for matches in by_camera.values()])
     # Causes are roughly in the order of the steps: the largest is that of the camera that got
     # farthest.
     matched = (outcomes == Outcome.VALID).any(axis=0)
@@ -182,7 +182,7 @@ def stereo_matches(
     pixels = np.full((len(splines), len(pixel), 2), np.nan)
     covariance = np.full((*pixels.shape, 2), np.nan)
     pixels[reference] = pixel
-    for k, matches in found.items():
+    for k, matches in by_camera.items():
         pixels[k] = pixel + matches.displacement
         covariance[k] = matches.covariance
     return StereoMatches(pixel, pixels, covariance, outcome, untextured)
@@ -244,19 +244,19 @@ def triangulate_consistent(
     """
     used = np.isfinite(pixels).all(axis=2)
     for _ in range(len(pixels) - 1):
-        found, error = _triangulated(rig, pixels, covariance, used)
+        points, error = _triangulated(rig, pixels, covariance, used)
         excess = _excess(error, used, covariance, reprojection)
         excess[rig.reference] = -np.inf
         wrong = excess.max(axis=0) > 1.0
-        lost = used.any(axis=0) & ~np.isfinite(found.point).all(axis=1)
+        lost = used.any(axis=0) & ~np.isfinite(points.point).all(axis=1)
         too_few = used.sum(axis=0) <= 2
         if not (wrong | lost).any():
             break
         drop = np.flatnonzero(wrong & ~too_few)
         used[excess.argmax(axis=0)[drop], drop] = False
         used[:, (wrong & too_few) | lost] = False
-    found, _ = _triangulated(rig, pixels, covariance, used)
-    return found, used
+    points, _ = _triangulated(rig, pixels, covariance, used)
+    return points, used
 
 
 def _triangulated(
@@ -272,8 +272,8 @@ def _triangulated(
     half[rig.reference] = half.sum(axis=0) / np.maximum(others.sum(axis=0), 1)[:, None, None]
     half = np.where(used[..., None, None], half, np.eye(2))
     pixels = np.where(used[..., None], pixels, np.nan)
-    found = triangulate(rig, pixels, half)
-    return found, pixels - np.stack([project(camera, found.point) for camera in rig.cameras])
+    points = triangulate(rig, pixels, half)
+    return points, pixels - np.stack([project(camera, points.point) for camera in rig.cameras])
 
 
 def _excess(

@@ -154,16 +154,16 @@ def window_matches(
     noise = float(np.percentile(residual, _NOISE_PERCENTILE)) if len(residual) else np.inf
     outcomes = [_outcomes(attempt, noise) for attempt in attempts]
     choice = _largest_consistent(attempts, outcomes, noise)
-    found = np.flatnonzero(choice >= 0)
+    matched = np.flatnonzero(choice >= 0)
     # The reason for failure of the largest window is the one reported.
     outcome = np.full(len(pixel), int(Outcome.HIDDEN))
     outcome[rows] = np.where(outcomes[-1] == Outcome.VALID, int(Outcome.SCORE), outcomes[-1])
-    outcome[rows[found]] = Outcome.VALID
+    outcome[rows[matched]] = Outcome.VALID
 
     def chosen(name: str) -> np.ndarray:
         values = np.stack([getattr(match, name) for match, *_ in attempts])
         result = np.full((len(pixel), *values.shape[2:]), np.nan)
-        result[rows[found]] = values[choice[found], found]
+        result[rows[matched]] = values[choice[matched], matched]
         return result
 
     return WindowMatches(chosen("displacement"), chosen("gradient"), chosen("covariance"), outcome)
@@ -324,7 +324,7 @@ def refine_planar(
     count = len(points)
     if start_gradient is None:
         start_gradient = np.zeros((count, 2, 2))
-    found = PlanarMatch(
+    match = PlanarMatch(
         np.full((count, 2), np.nan),
         np.full((count, 2, 2), np.nan),
         np.full((count, 2, 2), np.nan),
@@ -337,10 +337,10 @@ def refine_planar(
         np.ascontiguousarray(np.rint(points), dtype=np.int64),
         np.ascontiguousarray(start, dtype=np.float64),
         np.ascontiguousarray(start_gradient, dtype=np.float64), subset // 2,
-        found.displacement, found.gradient, found.covariance, found.score, found.converged,
+        match.displacement, match.gradient, match.covariance, match.score, match.converged,
         min_items=_MIN_WINDOWS_PER_THREAD,
     )  # fmt: skip
-    return found
+    return match
 
 
 def _polynomials(half: int, bases: int) -> Float[np.ndarray, "_ _"]:

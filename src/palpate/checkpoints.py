@@ -41,7 +41,7 @@ Cache = Path | Memory
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
+class Checkpoints:
     """Store for the finished parts of one computation.
 
     Parameters
@@ -80,8 +80,8 @@ class Parts:
         -------
         the part                    bit for bit the same, whether computed or read
         """
-        found: T | None = self.load(name, known)
-        return self.stored(name, make(), known) if found is None else found
+        part: T | None = self.load(name, known)
+        return self.stored(name, make(), known) if part is None else part
 
     def load(self, name: str, known: Mapping[str, Any] | None = None) -> Any:
         """A part as stored by an earlier run; None if there is none.
@@ -114,7 +114,7 @@ class Parts:
                 # A file is replaced where a link leads; a part belongs into this folder.
                 if file.is_symlink():
                     file.unlink()
-                with atomic_replacement([file]) as (staged,):
+                with atomic_replacement(file) as staged:
                     _write_part(staged, part, known or {})
             if self.cache:
                 _trim(self.folder)
@@ -162,10 +162,10 @@ def _update_digest(digest: "hashlib._Hash", value: Any) -> None:
 
 def _write_part(path: Path, part: Any, known: Mapping[str, Any]) -> None:
     """Write a part as an NPZ file: its arrays, and a text in JSON that says where each belongs."""
-    found: dict[int, np.ndarray] = {}
+    by_number: dict[int, np.ndarray] = {}
     names = {id(item): name for name, item in known.items() if item is not None}
-    text = json.dumps(_as_tree(part, names, found)).encode()
-    arrays = {str(number): array for number, array in enumerate(found.values())}
+    text = json.dumps(_as_tree(part, names, by_number)).encode()
+    arrays = {str(number): array for number, array in enumerate(by_number.values())}
     arrays[_TREE] = np.frombuffer(text, np.uint8)
     with path.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # mypy: a name might be an option's
@@ -250,10 +250,10 @@ def _from_tree(tree: Any, known: Mapping[str, Any], arrays: Mapping[str, np.ndar
 def _loaded_class(module: str, name: str) -> Any:
     """Palpate's dataclass or enum of a name. A name in a file has nothing imported: whoever reads a
     part has loaded what it is made of."""
-    found = vars(sys.modules[module])[name] if module.startswith("palpate.") else None
-    is_own = isinstance(found, type) and found.__module__ == module
-    if is_own and (is_dataclass(found) or isinstance(found, EnumType)):
-        return found
+    loaded = vars(sys.modules[module])[name] if module.startswith("palpate.") else None
+    is_own = isinstance(loaded, type) and loaded.__module__ == module
+    if is_own and (is_dataclass(loaded) or isinstance(loaded, EnumType)):
+        return loaded
     raise ValueError(f"{module}.{name} is nothing that a part is made of")
 
 
@@ -263,15 +263,15 @@ def _trim(cache: Path) -> None:
     Another process may read, write and remove at the same time: what it has locked or removed is
     left to it. Files of other names are not touched.
     """
-    found = []
+    entries = []
     with suppress(OSError):
         for file in cache.iterdir():
             if _PART_NAME.fullmatch(file.name):
                 with suppress(OSError):
-                    found.append((file.stat(), file))
-    total, held = 0, sum(each.st_size for each, _ in found)
+                    entries.append((file.stat(), file))
+    total, held = 0, sum(each.st_size for each, _ in entries)
     most = min(_MOST_BYTES, _MOST_FRACTION * (free_disk(cache) + held))
-    for each, file in sorted(found, key=lambda pair: pair[0].st_mtime, reverse=True):
+    for each, file in sorted(entries, key=lambda pair: pair[0].st_mtime, reverse=True):
         total += each.st_size
         if total > most:
             with suppress(OSError):

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from palpate import parts
+from palpate import checkpoints
+from palpate.checkpoints import Checkpoints, content_digest
 from palpate.disk import atomic_replacement
-from palpate.parts import Parts, content_digest
 from palpate.records import Constant, Status
 
 PART = (
@@ -27,20 +27,20 @@ def _made(asked, part):
 
 def test_a_part_is_made_once_and_read_to_the_last_bit(tmp_path):
     asked = []
-    store = Parts(tmp_path / "parts", "key")
+    store = Checkpoints(tmp_path / "parts", "key")
     first = store.load_or_make("one", lambda: _made(asked, PART))
     again = store.load_or_make("one", lambda: _made(asked, PART))
     assert content_digest(first) == content_digest(again) == content_digest(PART)
     assert len(asked) == 1
     store.load_or_make("two", lambda: _made(asked, PART))
-    Parts(tmp_path / "parts", "other").load_or_make("one", lambda: _made(asked, PART))
+    Checkpoints(tmp_path / "parts", "other").load_or_make("one", lambda: _made(asked, PART))
     assert len(asked) == 3
-    Parts(None).load_or_make("one", lambda: _made(asked, PART))
+    Checkpoints(None).load_or_make("one", lambda: _made(asked, PART))
     assert len(asked) == 4
 
 
 def test_known_objects_are_put_in_again(tmp_path):
-    store, large = Parts(tmp_path, "key"), np.zeros(10**6)
+    store, large = Checkpoints(tmp_path, "key"), np.zeros(10**6)
     store.load_or_make("one", lambda: {"large": large, "small": 1}, {"field": large})
     assert sum(path.stat().st_size for path in tmp_path.iterdir()) < 1000
     other = np.ones(3)
@@ -50,7 +50,7 @@ def test_known_objects_are_put_in_again(tmp_path):
 
 
 def test_what_is_cut_off_or_strange_is_made_anew(tmp_path):
-    store = Parts(tmp_path, "key")
+    store = Checkpoints(tmp_path, "key")
     store.load_or_make("one", lambda: PART)
     (file,) = tmp_path.iterdir()
     content = file.read_bytes()
@@ -64,25 +64,26 @@ def test_what_is_cut_off_or_strange_is_made_anew(tmp_path):
 
 def test_a_disk_that_keeps_nothing_is_no_reason_to_stop(tmp_path):
     (tmp_path / "file").write_text("")
-    assert Parts(tmp_path / "file" / "parts", "key").load_or_make("one", lambda: "new") == "new"
+    store = Checkpoints(tmp_path / "file" / "parts", "key")
+    assert store.load_or_make("one", lambda: "new") == "new"
 
 
 def test_a_part_whose_time_cannot_be_set_is_read(tmp_path, monkeypatch):
     def refused(path):
         raise PermissionError(1, "Operation not permitted", str(path))
 
-    parts = Parts(tmp_path, "key")
+    parts = Checkpoints(tmp_path, "key")
     parts.load_or_make("one", lambda: 1)
     monkeypatch.setattr(os, "utime", refused)
     assert parts.load("one") == 1
 
 
 def test_a_part_that_another_process_is_storing_is_left_to_it(tmp_path):
-    parts = Parts(tmp_path, "key")
+    parts = Checkpoints(tmp_path, "key")
     parts.load_or_make("one", lambda: PART)
     (file,) = tmp_path.iterdir()
     file.unlink()
-    with atomic_replacement([file]) as (other,):
+    with atomic_replacement(file) as other:
         other.write_bytes(b"the other's")
         assert parts.load_or_make("one", lambda: "own") == "own"
     assert file.read_bytes() == b"the other's"
@@ -111,7 +112,7 @@ def test_digests_tell_apart(one, other):
 
 def test_a_pipe_in_the_place_of_a_part_is_no_part(tmp_path):
     """Reading it would wait for ever."""
-    parts = Parts(tmp_path, "key")
+    parts = Checkpoints(tmp_path, "key")
     parts.load_or_make("a", lambda: 1)
     (file,) = tmp_path.iterdir()
     file.unlink()
@@ -130,11 +131,11 @@ def _parts_of_ten_bytes(folder, count):
 
 def test_a_cache_loses_what_was_not_used_for_longest(tmp_path, monkeypatch):
     new, older, oldest = _parts_of_ten_bytes(tmp_path, 3)
-    Parts(tmp_path, "a").stored("part", 1)
+    Checkpoints(tmp_path, "a").stored("part", 1)
     (part,) = set(tmp_path.iterdir()) - {new, older, oldest}
     os.utime(part, (1e9 - 9, 1e9 - 9))
     # Reading a part is using it: its time is now.
-    assert Parts(tmp_path, "a", cache=True).load("part") == 1
+    assert Checkpoints(tmp_path, "a", cache=True).load("part") == 1
     # Somebody's own file, what another process is writing, and what it removes at this moment: a
     # broken link stands for that.
     (tmp_path / "notes.txt").write_bytes(bytes(1000))
@@ -142,13 +143,13 @@ def test_a_cache_loses_what_was_not_used_for_longest(tmp_path, monkeypatch):
     (tmp_path / f"{9:064x}").symlink_to(tmp_path / "nowhere")
     before = set(tmp_path.iterdir())
     size = part.stat().st_size
-    monkeypatch.setattr(parts, "_MOST_BYTES", 2 * size + 20)
-    Parts(tmp_path, "a").stored("another", 2)
-    Parts(tmp_path, "b", cache=True).stored("part", 3)
+    monkeypatch.setattr(checkpoints, "_MOST_BYTES", 2 * size + 20)
+    Checkpoints(tmp_path, "a").stored("another", 2)
+    Checkpoints(tmp_path, "b", cache=True).stored("part", 3)
     # The newest are those two, `part`, which is one too many, and what is older.
     assert before - set(tmp_path.iterdir()) == {part, new, older, oldest}
-    assert Parts(tmp_path, "a").load("another") == 2
-    assert Parts(tmp_path, "b").load("part") == 3
+    assert Checkpoints(tmp_path, "a").load("another") == 2
+    assert Checkpoints(tmp_path, "b").load("part") == 3
 
 
 def test_a_cache_takes_a_quarter_of_what_is_free_without_it(tmp_path, monkeypatch):
@@ -156,13 +157,13 @@ def test_a_cache_takes_a_quarter_of_what_is_free_without_it(tmp_path, monkeypatc
     usage = shutil.disk_usage(tmp_path)
     # With the 50 bytes of the cache 120 would be free, of which a quarter are three parts.
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=70))
-    parts._trim(tmp_path)
+    checkpoints._trim(tmp_path)
     assert sorted(tmp_path.iterdir()) == files[:3]
 
 
 def test_finished_parts_of_long_work_are_all_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(parts, "_MOST_BYTES", 10)
-    store = Parts(tmp_path, "a")
+    monkeypatch.setattr(checkpoints, "_MOST_BYTES", 10)
+    store = Checkpoints(tmp_path, "a")
     for number in range(3):
         store.stored(str(number), number)
     assert [store.load(str(number)) for number in range(3)] == [0, 1, 2]
