@@ -90,9 +90,9 @@ def with_relaxation(session: Session, result: FitResult) -> FitResult:
             remarks.append(_constant_ratio(probing, series, seen[0]))
         if series.tip is not None:
             seen.append(_seen_at_tip(probing, series, series.tip, result.estimate))
-        found = [motion for each in seen for motion in _motion(series, each)]
-        motions += found
-        held += [series for _ in found]
+        observed = [motion for each in seen for motion in _motion(series, each)]
+        motions += observed
+        held += [series for _ in observed]
     estimate = result.estimate
     if motions:
         shortest = min(each.rise for each in held)
@@ -304,9 +304,9 @@ def _constant(value: float, wide: float, of: Constant | None) -> Constant:
     if not 0.0 < low <= high < math.inf:
         return Constant(of.value * math.exp(value), math.nan, (math.nan, math.nan))
     below, above = (math.hypot(wide, math.log(end / of.value)) for end in of.ci95)
-    found = of.value * math.exp(value)
-    ends = found * math.exp(-below), found * math.exp(above)
-    return Constant(found, 0.5 * (ends[1] - ends[0]) / HALF_95, ends)
+    scaled = of.value * math.exp(value)
+    ends = scaled * math.exp(-below), scaled * math.exp(above)
+    return Constant(scaled, 0.5 * (ends[1] - ends[0]) / HALF_95, ends)
 
 
 def _ends(

@@ -296,7 +296,7 @@ def _judged(
     covariance += np.diag(finest**2)
     names = [probing.name for probing in works.probings]
     works_of = zip(matrix[one, other], matrix[other, one], np.diag(covariance), strict=True)
-    found = tuple(
+    judged = tuple(
         WorkPair(names[i], names[j], float(work), float(back), float(np.sqrt(variance)))
         for i, j, (work, back, variance) in zip(one, other, works_of, strict=True)
     )
@@ -327,7 +327,7 @@ def _judged(
             odd, grows = (), False
     least, std, passive = _own_work(session, works, errors)
     return Reciprocity(
-        found, pushes, chi_square, degrees, chance, growth, odd, grows, holds,
+        judged, pushes, chi_square, degrees, chance, growth, odd, grows, holds,
         least, std, passive, reasons,
     )  # fmt: skip
 
@@ -373,23 +373,23 @@ def _excesses(
         square = float(along @ along)
         if square == 0.0:
             return None
-        value, found = float(along @ white) / square, 1.0 / square
-        own = float(np.sqrt(max(found - known**2, 0.0)))
+        value, excesses = float(along @ white) / square, 1.0 / square
+        own = float(np.sqrt(max(excesses - known**2, 0.0)))
         sigmas = value * float(np.sqrt(square))
         # Of the mean of both works, half of which is without the excess.
         shrunk = 1.0 - 0.5 * min(value, 1.0)
         return ForceExcess(name, value / shrunk, own / shrunk**2, sigmas)
 
-    found = []
+    excesses = []
     for k in np.unique(pairs):
         probing = works.probings[k]
         along = _force_std(session, probing) * probing.force
         known = float(np.linalg.norm(along)) / max(sizes[k] ** 2, np.finfo(float).tiny)
-        found.append(excess(probing.name, by_tool * np.eye(len(sizes))[k], known))
+        excesses.append(excess(probing.name, by_tool * np.eye(len(sizes))[k], known))
     share = sizes / max(float(sizes.max()), np.finfo(float).tiny)
     used = share[np.unique(pairs)]
     growth = excess("", by_tool * share, 0.0) if np.ptp(used) > _ALIKE else None
-    return tuple(each for each in found if each is not None), growth
+    return tuple(each for each in excesses if each is not None), growth
 
 
 def _suspects(

@@ -136,15 +136,15 @@ def read_fitted(result: Path, session: Path | None = None) -> tuple[FitSource, F
                                     mesh now
     """
     source, surface = read_fit(result, session), read_fitted_surface(result)
-    found = source.session
-    same = np.array_equal(found.mesh.vertices, surface.vertices)
-    if not same or not np.array_equal(found.mesh.triangles, surface.triangles):
+    fitted_session = source.session
+    same = np.array_equal(fitted_session.mesh.vertices, surface.vertices)
+    if not same or not np.array_equal(fitted_session.mesh.triangles, surface.triangles):
         raise RecordError(
-            f"{result}: was fitted to another mesh than {found.path} names now; fit the session"
-            " again"
+            f"{result}: was fitted to another mesh than {fitted_session.path} names now; fit the"
+            " session again"
         )
-    found = with_motions(found, kept_motion(found, result))
-    return replace(source, session=found), surface
+    fitted_session = with_motions(fitted_session, kept_motion(fitted_session, result))
+    return replace(source, session=fitted_session), surface
 
 
 def _changes(result: Path, place: Path) -> tuple[str, ...]:
@@ -325,11 +325,11 @@ def _status_advice(estimate: Estimate) -> str:
 
 def _creep_advice(form: Format, body: EstimatedObject) -> str:
     """What one modulus means of a body that creeps; empty of another one."""
-    found = body.estimate.relaxation
-    if found is None or not found.terms:
+    relaxation = body.estimate.relaxation
+    if relaxation is None or not relaxation.terms:
         return ""
     advice = (
-        f"the object creeps: its modulus was written as at {found.age:.3g} s after contact;"
+        f"the object creeps: its modulus was written as at {relaxation.age:.3g} s after contact;"
         " palpate.json has the Prony series (`relaxation`), viscoelastic.inp and viscoelastic.xml"
         " have it as materials of Abaqus and FEBio, viscoelastic.scn as one of SOFA, where these"
         " are written"
@@ -350,17 +350,17 @@ def _creep_advice(form: Format, body: EstimatedObject) -> str:
 
 def _law_advice(form: Format, estimate: Estimate) -> str:
     """What was written of a material that stiffens; empty of another one."""
-    found = estimate.stiffening
-    if found is None:
+    stiffening = estimate.stiffening
+    if stiffening is None:
         return ""
     if form.stiffens:
         return (
-            f"the material stiffens: Yeoh's law was written with C2 / C1 = {found.value:.4g}, for"
-            " large strain; its small strain has the constants of the table"
+            f"the material stiffens: Yeoh's law was written with C2 / C1 = {stiffening.value:.4g},"
+            " for large strain; its small strain has the constants of the table"
         )
     return (
-        f"the material stiffens (C2 / C1 of Yeoh's law is {found.value:.4g}), but no such law was"
-        f" written for {form.title}: its object gives way too far under large pushes"
+        f"the material stiffens (C2 / C1 of Yeoh's law is {stiffening.value:.4g}), but no such law"
+        f" was written for {form.title}: its object gives way too far under large pushes"
     )
 
 

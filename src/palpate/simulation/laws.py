@@ -39,13 +39,13 @@ def prony(body: EstimatedObject) -> dict[str, Any] | None:
     ----------
     body : EstimatedObject
     """
-    found = body.estimate.relaxation
-    if found is None or not found.terms:
+    relaxation = body.estimate.relaxation
+    if relaxation is None or not relaxation.terms:
         return None
-    at_once = found.unrelaxed
-    if found.constant == "shear_modulus":
+    at_once = relaxation.unrelaxed
+    if relaxation.constant == "shear_modulus":
         at_once *= 2.0 * (1.0 + body.material.poisson_ratio)
-    terms = [(each.share, each.time.value) for each in found.terms]
+    terms = [(each.share, each.time.value) for each in relaxation.terms]
     long_term = at_once * (1.0 - sum(share for share, _ in terms))
     return {"at_once": at_once, "long_term": long_term, "terms": terms}
 

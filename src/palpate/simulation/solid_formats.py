@@ -417,7 +417,8 @@ def write_sofa(folder: Path, model: SolidModel) -> None:
         "held": _number_text(np.flatnonzero(model.held)),
         "push": push,
     }
-    mass, found = enclosed_volume(body.session.mesh) * body.density, sofa_branches(body)
+    mass = enclosed_volume(body.session.mesh) * body.density
+    prony_branches = sofa_branches(body)
     text = _SCENE.format(
         **scene, step=0.01, solver=_AT_REST, container="MeshTopology", mass=mass,
         young=_number_text(young_moduli(model)), poisson=body.material.poisson_ratio, branches="",
@@ -425,9 +426,9 @@ def write_sofa(folder: Path, model: SolidModel) -> None:
     write_text(folder / "model.scn", text)
     write_replay(folder, model, model.linear_load)
     # A branch has one modulus for all tetrahedra.
-    if found is None or body.modulus is not None:
+    if prony_branches is None or body.modulus is not None:
         return
-    lame, shear, branches = found
+    lame, shear, branches = prony_branches
     rows = [_BRANCH.format(number=k, shear=g, time=t) for k, (g, t) in enumerate(branches, start=1)]
     text = _SCENE.format(
         **scene, step=_STEP * min(time for _, time in branches), solver=_OVER_TIME,

@@ -120,13 +120,13 @@ def press_finite(
     if not (np.isfinite(force) and force > 0.0):
         raise InputError(f"the force is {force}; must be positive, in newtons")
     potential = _make_potential(body, law(*body.lame), tip, force, sag)
-    found = None
+    equilibrium = None
     if start is not None:
         potential = potential.drawn_in(_joined(start))
-        found = potential.equilibrium(_joined(start))
-    if found is None:
-        found = potential.equilibrium_from_contact(sag), None
-    at = potential.settled(*found)
+        equilibrium = potential.equilibrium(_joined(start))
+    if equilibrium is None:
+        equilibrium = potential.equilibrium_from_contact(sag), None
+    at = potential.settled(*equilibrium)
     return FinitePress(at[:-1].reshape(-1, 3), float(at[-1]))
 
 
@@ -274,10 +274,10 @@ class _ContactPotential:
             moved = np.abs(now.stiffness - before.stiffness) @ self.penetration(at)[0]
             if moved < _RIM_TOLERANCE * self.force:
                 return at
-            found = now.equilibrium(at, solver)
-            if found is None:
+            equilibrium = now.equilibrium(at, solver)
+            if equilibrium is None:
                 break
-            before, (at, solver) = now, found
+            before, (at, solver) = now, equilibrium
         raise NotConvergedError(
             "skin is drawn in under the rim of the tool and finds no place of rest: press less"
         )
@@ -299,16 +299,16 @@ class _ContactPotential:
         def find(fraction: float, at: Unknowns) -> Unknowns | None:
             partial_load = replace(self, force=fraction * self.force)
             guess = partial_load.initial_guess(at) if at is touching else at
-            found = None if guess is None else partial_load.equilibrium(guess)
-            return None if found is None else found[0]
+            equilibrium = None if guess is None else partial_load.equilibrium(guess)
+            return None if equilibrium is None else equilibrium[0]
 
-        found, done = find_in_increments(find, touching)
+        equilibrium, done = find_in_increments(find, touching)
         if done < 1.0:
             raise NotConvergedError(
                 f"no equilibrium beyond {100 * done:.1f} % of the force under the tool: the body"
                 " buckles, or is pressed farther than its elements bear; press less"
             )
-        return found
+        return equilibrium
 
     def initial_guess(self, at: Unknowns) -> Unknowns | None:
         """Guess from rest: the travel at which the springs alone balance the force; None if that

@@ -241,18 +241,18 @@ def solve_finite(
 
     def find(fraction: float, at: Unknowns) -> Unknowns | None:
         loaded = _Loaded(body, law(*body.lame), basis, fraction * load)
-        found = find_equilibrium(loaded, at, tolerance=_FORCE_TOLERANCE * fraction * scale)
-        return None if found is None else found[0]
+        equilibrium = find_equilibrium(loaded, at, tolerance=_FORCE_TOLERANCE * fraction * scale)
+        return None if equilibrium is None else equilibrium[0]
 
-    if start is not None and (found := find(1.0, start.ravel())) is not None:
-        return found.reshape(-1, 3)
-    found, done = find_in_increments(find, np.zeros(load.size))
+    if start is not None and (equilibrium := find(1.0, start.ravel())) is not None:
+        return equilibrium.reshape(-1, 3)
+    equilibrium, done = find_in_increments(find, np.zeros(load.size))
     if done < 1.0:
         raise NotConvergedError(
             f"no equilibrium beyond {100 * done:.1f} % of the load: the body buckles, or is"
             " pressed farther than its elements bear; press less, or use smaller elements there"
         )
-    return found.reshape(-1, 3)
+    return equilibrium.reshape(-1, 3)
 
 
 def load_slopes(
@@ -569,17 +569,17 @@ def find_in_increments(
 
     Returns
     -------
-    found : (u,) float [m]          the last equilibrium found
+    equilibrium : (u,) float [m]       the last equilibrium found
     done : float [-]                fraction of the load there; 1 on success
     """
     now, done, increment = start, 0.0, 1.0
     while done < 1.0 and increment >= _MIN_INCREMENT:
         target = min(1.0, done + increment)
-        found = find(target, now)
-        if found is None:
+        equilibrium = find(target, now)
+        if equilibrium is None:
             increment *= 0.5
         else:
-            now, done = found, target
+            now, done = equilibrium, target
     return now, done
 
 

@@ -177,20 +177,23 @@ def fit_at_finite_strain(
     )
     used = replace(used, coarser=tuple(zip(coarse, other, strict=True)))
     body, report = make_finite_body(session), part_of(progress, _OTHER, 1.0)
-    result, found = rough, estimated_stiffening(rough)
+    result, estimated = rough, estimated_stiffening(rough)
     starts: tuple[Correction, ...] = ()
-    if found.value > _HOPELESS * found.std:
+    if estimated.value > _HOPELESS * estimated.std:
         result, starts = _converged(body, used, rough, report, stiffens=True)
-        found = estimated_stiffening(result)
+        estimated = estimated_stiffening(result)
     # What is not shown may be there: the constants allow for it, unless it is hardly suspected.
-    if found.value <= _HOPELESS * found.std:
+    if estimated.value <= _HOPELESS * estimated.std:
         result, starts = _converged(body, used, result, report, stiffens=False, starts=starts)
-    estimate, shown = result.estimate, is_stiffening(found)
-    told, size = stiffening_text(found, shown=shown), _size_note(observations, starts)
+    estimate, shown = result.estimate, is_stiffening(estimated)
+    told, size = stiffening_text(estimated, shown=shown), _size_note(observations, starts)
     notes = (told, *estimate.notes, size) if shown else (*estimate.notes, size, told)
     if estimate.status is Status.MODEL_CONTRADICTED:
-        notes, found = (*estimate.notes, size), Constant(found.value, np.nan, (np.nan, np.nan))
-    stiffening = found if shown else None
+        notes, estimated = (
+            (*estimate.notes, size),
+            Constant(estimated.value, np.nan, (np.nan, np.nan)),
+        )
+    stiffening = estimated if shown else None
     return replace(result, estimate=replace(estimate, notes=notes, stiffening=stiffening))
 
 

@@ -357,6 +357,6 @@ def _distinct_patches(
 def contact_key(contact: Contact) -> ContactKey:
     """Key that is equal for contacts with the same patch."""
     triangles = () if contact.triangles is None else tuple(contact.triangles.tolist())
-    found = contact.traction
-    shape = () if found is None else (found.pressure.tobytes(), found.outward.tobytes())
+    traction = contact.traction
+    shape = () if traction is None else (traction.pressure.tobytes(), traction.outward.tobytes())
     return (*contact.point.tolist(), contact.radius, contact.profile, triangles, *shape)
