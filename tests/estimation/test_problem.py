@@ -129,6 +129,20 @@ def test_an_expansion_is_right_to_second_order() -> None:
     assert missed[0] / missed[1] == pytest.approx(4.0, rel=0.15)
 
 
+def test_models_made_when_asked_for_are_those_that_are_kept() -> None:
+    problem = problem_of(_everything(np.random.default_rng(3)))
+    theta = 0.3 * np.random.default_rng(4).normal(size=problem.layout.size)
+    theta[:2] = 0.28, np.log(2e4)
+    made = problem.of(problem.probes, problem.shared, theta)
+    kept = made.expanded(0.28)
+    assert isinstance(kept.expansions, tuple)
+    assert not isinstance(made.expansions, tuple)
+    for found, wanted in zip(made.linearised(theta), kept.linearised(theta), strict=True):
+        for one, other in zip(found, wanted, strict=True):
+            np.testing.assert_array_equal(one, other)
+    assert [len(each.effects) for each in made.expansions[1:]] == [len(kept.expansions[1].effects)]
+
+
 def test_the_prediction_is_the_formula() -> None:
     """Two terms: what scales with 1 / G, and what does not depend on G."""
     probes = _everything(np.random.default_rng(4))

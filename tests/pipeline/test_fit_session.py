@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
 from error_columns import columns_of, curvature_of
+from palpate.parts import Memory
 from scipy.sparse import csr_array, kron
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -16,7 +17,7 @@ from palpate.bem import CentredSystem, reduced_model
 from palpate.bem.compressed import system as compressed
 from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings
-from palpate.geometry import TriangleMesh, closest_points, write_mesh
+from palpate.geometry import SurfacePoints, TriangleMesh, closest_points, write_mesh
 from palpate.pipeline import (
     fit_session,
     graded_session,
@@ -25,6 +26,7 @@ from palpate.pipeline import (
     refined_session,
     session_observations,
 )
+from palpate.pipeline.model import object_model
 from palpate.records import (
     EXACT,
     Camera,
@@ -40,6 +42,7 @@ from palpate.records import (
     write_rig,
     write_rig_covariance,
 )
+from palpate.shapes import Points
 
 SHEAR, NU, NOISE = 2e4, 0.3, 2e-5
 RADIUS = 0.03
@@ -415,6 +418,29 @@ def test_displacements_that_are_averages_have_the_constants_of_their_points(
     # Taken for the points' own: 0.008 away.
     other = fit_session(replace(through, probings=alone)).estimate
     assert abs(other.poisson_ratio.value - result.estimate.poisson_ratio.value) > 0.004
+
+
+def test_where_averages_are_sampled_is_kept_for_further_pushes(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    through, memory, asked = _seen_through_windows(session), Memory(), list[int]()
+
+    def counted(mesh: TriangleMesh, points: Points) -> SurfacePoints:
+        asked.append(len(points))
+        return closest_points(mesh, points)
+
+    monkeypatch.setattr(object_model, "closest_points", counted)
+    anew = fit_session(through).estimate
+    every = len(asked)
+    fit_session(through, cache=memory)
+    # All probings have the same sampling points: once for each of the meshes.
+    assert every > len(asked) - every > 0
+    asked.clear()
+    found = fit_session(through, cache=memory).estimate
+    assert asked == []
+    assert [getattr(found, name) for name in CONSTANTS] == [
+        getattr(anew, name) for name in CONSTANTS
+    ]
 
 
 def test_a_probing_without_displacement_is_refused(session: Session) -> None:

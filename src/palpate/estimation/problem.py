@@ -18,6 +18,7 @@ meshes say, at least 1.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -109,6 +110,32 @@ class Expansion:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Expansions(Sequence[Expansion]):
+    """Models of probings that are made each time they are asked for: with a field of moduli one
+    takes megabytes, and the objective at a single point asks twice.
+
+    Attributes
+    ----------
+    probes : tuple of MeasuredComponents
+    shared : tuple of NuisanceParameter     as `Problem.shared`
+    poisson_ratio : float                   the reference
+    """
+
+    probes: tuple[MeasuredComponents, ...]
+    shared: tuple[NuisanceParameter, ...]
+    poisson_ratio: float
+
+    def __len__(self) -> int:
+        return len(self.probes)
+
+    def __getitem__(self, index: Any) -> Any:
+        """That of one probing, or those of some."""
+        if isinstance(index, slice):
+            return replace(self, probes=self.probes[index])
+        return _expansion(self.probes[index], self.shared, self.poisson_ratio)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Problem:
     """The objective, with its noise levels and its model expanded about a Poisson's ratio.
 
@@ -119,7 +146,7 @@ class Problem:
     shared : tuple of NuisanceParameter     the m errors that probings of the session share
     unknown : tuple of UnknownRows          the model's error of unknown shape, of each probing
     layout : Layout
-    expansions : tuple of Expansion
+    expansions : sequence of Expansion
     level : (8,) float              noise level of each group, see `noise_levels`
     scale : float                   k, size of the model's own error over what the mesh says, >= 1
     information : float             c
@@ -130,7 +157,7 @@ class Problem:
     shared: tuple[NuisanceParameter, ...]
     unknown: tuple[UnknownRows, ...]
     layout: Layout
-    expansions: tuple[Expansion, ...]
+    expansions: Sequence[Expansion]
     level: Float[np.ndarray, " 8"]
     scale: float
     information: float
@@ -180,7 +207,8 @@ class Problem:
         shared: tuple[NuisanceParameter, ...],
         theta: Float[np.ndarray, " _"],
     ) -> "Problem":
-        """The objective of other probings with the same noise, about the constants of a vector.
+        """The objective of other probings with the same noise, about the constants of a vector: for
+        a single point; for more it is to be `expanded`.
 
         Parameters
         ----------
@@ -188,11 +216,11 @@ class Problem:
         shared : tuple of NuisanceParameter     that they share, with others as well
         theta : (n,) float                      begins with Poisson's ratio and log G
         """
-        terms = _terms(probes, shared, float(theta[0]), float(np.exp(theta[1])))
-        unknown, layout, expansions = terms
+        expansions = Expansions(probes, shared, float(theta[0]))
+        unknown = _unknown(probes, shared, expansions, float(np.exp(theta[1])))
         return replace(
-            self, probes=probes, shared=shared, unknown=unknown, layout=layout,
-            expansions=expansions,
+            self, probes=probes, shared=shared, unknown=unknown, expansions=expansions,
+            layout=_layout(probes, shared, unknown),
         )  # fmt: skip
 
     def precision(self) -> Float[np.ndarray, " n"]:
@@ -335,26 +363,25 @@ def make_problem(
     level = np.ones(GROUP_COUNT)
     level[:FIRST_CLAIMED] = _FIRST_LEVEL * np.sqrt(np.mean(motion**2))
     information = _expected(noise, probes).information
-    terms = _terms(probes, shared, poisson_ratio, shear_modulus)
-    return Problem(probes, noise, shared, *terms, level, 1.0, information)
+    expansions = tuple(_expansion(probe, shared, poisson_ratio) for probe in probes)
+    unknown = _unknown(probes, shared, expansions, shear_modulus)
+    layout = _layout(probes, shared, unknown)
+    return Problem(probes, noise, shared, unknown, layout, expansions, level, 1.0, information)
 
 
-def _terms(
+def _unknown(
     probes: tuple[MeasuredComponents, ...],
     shared: tuple[NuisanceParameter, ...],
-    poisson_ratio: float,
+    expansions: Sequence[Expansion],
     shear_modulus: float,
-) -> tuple[tuple[UnknownRows, ...], Layout, tuple[Expansion, ...]]:
-    """What a problem knows of its probings: their model's error of unknown shape, the layout, and
-    the model."""
-    expansions = tuple(_expansion(probe, shared, poisson_ratio) for probe in probes)
+) -> tuple[UnknownRows, ...]:
+    """The model's error of unknown shape in each probing."""
     places = np.concatenate([probe.position for probe in probes])
     patterns_at = correlated_patterns(places[np.isfinite(places[:, 0])])
-    unknown = tuple(
+    return tuple(
         unknown_rows(probe, _fields(probe, shared, model, shear_modulus), patterns_at)
         for probe, model in zip(probes, expansions, strict=True)
     )
-    return unknown, _layout(probes, shared, unknown), expansions
 
 
 def _expected(noise: NoiseModel, probes: Sequence[MeasuredComponents]) -> Moments:

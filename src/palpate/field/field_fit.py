@@ -251,7 +251,8 @@ def _minimum(
     mixing = expansion.model.modes.mixing_of(prior)
     rows = tuple(map(observed_rows_of, expansion.observations(smooth_prior(mixing))))
     at = _with_modes(start, rows, np.linalg.lstsq(mixing, coefficients)[0])
-    return with_noise(at.problem, at.theta, settings.poisson_range)
+    problem = at.problem.expanded(at.poisson_ratio)
+    return with_noise(problem, at.theta, settings.poisson_range)
 
 
 def information_about(

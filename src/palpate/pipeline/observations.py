@@ -4,7 +4,7 @@ A model on compliant supports is taken at the shear modulus that fits best. Mode
 of one body show how large the discretisation error is.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +26,12 @@ from palpate.estimation import (
 )
 from palpate.geometry import SurfacePoints, TriangleMesh, bounding_diagonal, distinct_points
 from palpate.pipeline.model.grading import REMAINING_FRACTION, edge_refined_session, graded_session
-from palpate.pipeline.model.object_model import ObjectModel, make_object_model, probe_rows
+from palpate.pipeline.model.object_model import (
+    ObjectModel,
+    ObservationMatrix,
+    make_object_model,
+    probe_rows,
+)
 from palpate.pipeline.model.responses import (
     ProbeResponse,
     full_responses,
@@ -384,25 +389,31 @@ def _session_observations_at(
     residual: float = DENSE_RESIDUAL,
 ) -> Callable[[float], list[ProbeObservations]]:
     """As `session_observations`, for any shear modulus [Pa], from one factorisation."""
-    rows = [
-        probe_rows(model, k, _measured(probing).surface, average=_measured(probing).average)
-        for k, probing in enumerate(session.probings)
-    ]
-    with_pose = session.errors.pose_translation > 0.0 or session.errors.pose_rotation > 0.0
-    if with_pose or with_surface:
-        every = _vertices(session.mesh)
-        rows += [probe_rows(model, k, every, perturbed=False) for k in range(len(session.probings))]
+    rows = _rows(session, model, with_surface=with_surface)
     if model.springs is not None:
-        on_springs = spring_responses(model, model.springs, rows, settings)
+        on_springs = spring_responses(model, model.springs, list(rows), settings)
         return lambda modulus: _all_observations(session, model, on_springs(modulus), modulus)
     if settings.method == FitMethod.NELDER_MEAD:
         responses = full_responses(
-            lambda ratio: model.solver.at(ratio)(model.right.at(ratio)), rows
+            lambda ratio: model.solver.at(ratio)(model.right.at(ratio)), list(rows)
         )
     else:
         reduced = reduced_model_of(model, settings=settings, residual=residual)
         responses = reduced_responses(reduced, rows, settings.poisson_range)
     return lambda modulus: _all_observations(session, model, responses, modulus)
+
+
+def _rows(
+    session: Session, model: ObjectModel, *, with_surface: bool
+) -> Iterator[ObservationMatrix]:
+    """Those of every probing's points; then, where they are needed, those of all vertices."""
+    for k, probing in enumerate(session.probings):
+        field = _measured(probing)
+        yield probe_rows(model, k, field.surface, average=field.average)
+    if with_surface or session.errors.pose_translation > 0.0 or session.errors.pose_rotation > 0.0:
+        every = _vertices(session.mesh)
+        for k in range(len(session.probings)):
+            yield probe_rows(model, k, every, perturbed=False)
 
 
 def _all_observations(

@@ -167,3 +167,12 @@ def test_a_perturbed_dip_is_its_share_of_what_the_dip_adds(
         force = session.probings[each.probing].force
         wanted = DIP_ERROR * correction_columns(system, [dip]).terms @ force
         _close(terms[:, :, column], wanted)
+
+
+def test_loads_are_the_same_however_many_are_integrated_at_a_time(
+    session: Session, system: BoundarySystem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = _table(session, system)
+    terms = table.integrate(system)[0].terms
+    monkeypatch.setattr(load_table, "_TOGETHER", 3)
+    _close(table.integrate(system)[0].terms, terms)

@@ -125,7 +125,7 @@ def make_object_model(
     sliding = sliding_motion(session)
     require_balance(session, sliding)
     supports = (*moving_supports(session), *filter(None, [sliding]))
-    boundary = session_surface(session, rings=rings)
+    boundary = session_surface(session, rings=rings) if like is None else like.system.surface
     loads = make_load_table(
         session, boundary, support_shapes(session, supports), perturbed=perturbed
     )

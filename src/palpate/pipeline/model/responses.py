@@ -6,9 +6,9 @@ point. Two functions make them: `reduced_responses` from one factorisation for a
 depend on the modulus, too (`spring_responses`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -155,7 +155,7 @@ def full_responses(
 
 def reduced_responses(
     model: SolutionModel,
-    rows: Sequence[ObservationMatrix],
+    rows: Iterable[ObservationMatrix],
     poisson_range: tuple[float, float],
     *,
     blocks: int = 1,
@@ -165,7 +165,7 @@ def reduced_responses(
     Parameters
     ----------
     model : SolutionModel
-    rows : sequence of ObservationMatrix
+    rows : iterable of ObservationMatrix
     poisson_range : (float, float)    that the model covers
     blocks : int                      1 + d, as `full_responses`
 
@@ -173,19 +173,21 @@ def reduced_responses(
     -------
     list of ProbeResponse
     """
-    projected = [_projected(model, probe, blocks) for probe in rows]
-    for degree in _DEGREES:
-        weights = [model.coefficients(nu)[0] for nu in _nodes(degree, poisson_range)]
-        series = [
-            _series(basis, [weight[:, probe.columns] for weight in weights])
-            for probe, basis in zip(rows, projected, strict=True)
-        ]
-        if all(len(each) < degree for each in series):
-            break
-    return [
-        _series_response(probe, coefficients, poisson_range)
-        for probe, coefficients in zip(rows, series, strict=True)
-    ]
+
+    @cache
+    def weights(degree: int) -> list[Float[np.ndarray, "j c"]]:
+        return [model.coefficients(nu)[0] for nu in _nodes(degree, poisson_range)]
+
+    def response_of(probe: ObservationMatrix) -> ProbeResponse:
+        projected = _projected(model, probe, blocks)
+        for degree in _DEGREES:
+            series = _series(projected, [each[:, probe.columns] for each in weights(degree)])
+            if len(series) < degree:
+                break
+        return _series_response(probe, series, poisson_range)
+
+    # One after the other: what is projected is larger than its series.
+    return list(map(response_of, rows))
 
 
 def spring_responses(
