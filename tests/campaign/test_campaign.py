@@ -207,7 +207,7 @@ def test_only_one_process_works_on_a_campaign(cubes, tmp_path):
     folder = tmp_path / "campaign"
     folder.mkdir()
     with (
-        atomic_replacement([folder / "table.csv"]),
+        atomic_replacement(folder / "table.csv"),
         pytest.raises(InUseError, match="is being written by"),
     ):
         run_campaign(read_items(cubes), folder)

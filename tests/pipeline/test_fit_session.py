@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
 from error_columns import columns_of, curvature_of
-from palpate.parts import Memory
 from scipy.sparse import csr_array, kron
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -15,6 +14,7 @@ from surfaces import box, sphere
 
 from palpate.bem import CentredSystem, reduced_model
 from palpate.bem.compressed import system as compressed
+from palpate.checkpoints import Memory
 from palpate.errors import InputError
 from palpate.estimation import FitResult, FitSettings
 from palpate.geometry import SurfacePoints, TriangleMesh, closest_points, write_mesh

@@ -153,7 +153,7 @@ def test_a_constant_that_is_not_determined_has_no_number(tmp_path, session):
     text = page_of(folder).text
     assert "Partly determined Poisson's ratio is not determined by the data." in text
     assert "not determined possible: 0.0" in text
-    assert "What to do. Observe displacement vectors" in text
+    assert "What to do. Measure displacement vectors" in text
     assert not re.search(r"\bnu\b", text)
     assert "0.3000" not in text
 

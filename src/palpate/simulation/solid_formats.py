@@ -409,9 +409,8 @@ def write_sofa(folder: Path, model: SolidModel) -> None:
     if body.push is not None:
         forces = _number_text(model.linear_load[loaded])
         push = f'    <ConstantForceField indices="{_number_text(loaded)}" forces="{forces}"/>\n'
-    plugins = "\n".join(f'  <RequiredPlugin name="Sofa.Component.{name}"/>' for name in _PLUGINS)
     scene = {
-        "plugins": plugins,
+        "plugins": "\n".join(f'  <RequiredPlugin name="Sofa.Component.{x}"/>' for x in _PLUGINS),
         "position": _number_text(model.nodes),
         "tetrahedra": _number_text(model.linear),
         "held": _number_text(np.flatnonzero(model.held)),

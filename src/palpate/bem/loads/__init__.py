@@ -3,6 +3,6 @@
 Purpose    : integrate contact pressures, prescribed tractions, support displacements and gravity.
 Takes      : a `BoundarySystem` and a `SurfaceLoad`, a traction, a displacement or a force density.
 Gives      : `RightHand`, quadratic in Poisson's ratio; the local indentation around a contact.
-Depends on : `bem.compressed`, `bem.integrals`, `bem.system`, `geometry`.
+Depends on : `bem.integrals`, `bem.system`, `geometry`.
 Read first : `right_hand.py`, `surface_load.py`.
 """
