@@ -16,7 +16,6 @@ from palpate.bem.compressed.system import CompressedSystem
 from palpate.bem.loads.right_hand import RightHand
 from palpate.bem.reduced_model import (
     CENTRE,
-    DENSE_RESIDUAL,
     SolutionModel,
     make_reduced_model,
     reduced_basis,
@@ -26,6 +25,8 @@ from palpate.bem.system.system import BoundarySystem
 
 # Takes right-hand sides, (r, c), to the unknowns, (k, c).
 Solve = Callable[[Float[np.ndarray, "r c"]], Float[np.ndarray, "k c"]]
+# Largest relative residual, of all right-hand sides or of each.
+Tolerance = float | Float[np.ndarray, " c"]
 # Smallest residual of a compressed system that iteration is asked for.
 _SNAPSHOT_RESIDUAL = 5e-7
 
@@ -62,11 +63,7 @@ class Solver(Protocol):
         ...
 
     def reduced_model(
-        self,
-        right: RightHand,
-        *,
-        poisson_range: tuple[float, float] = (0.0, 0.4999),
-        tolerance: float | Float[np.ndarray, " c"] = DENSE_RESIDUAL,
+        self, right: RightHand, poisson_range: tuple[float, float], tolerance: Tolerance
     ) -> SolutionModel:
         """Solutions at all Poisson's ratios of a range.
 
@@ -114,11 +111,7 @@ class _DirectSolver:
         return partial(solve, factorise(self.system, poisson_ratio))
 
     def reduced_model(
-        self,
-        right: RightHand,
-        *,
-        poisson_range: tuple[float, float] = (0.0, 0.4999),
-        tolerance: float | Float[np.ndarray, " c"] = DENSE_RESIDUAL,
+        self, right: RightHand, poisson_range: tuple[float, float], tolerance: Tolerance
     ) -> SolutionModel:
         """As of a `Solver`."""
         return make_reduced_model(
@@ -146,11 +139,7 @@ class _IterativeSolver:
         return lambda right: solve_compressed(inverse, right).solution
 
     def reduced_model(
-        self,
-        right: RightHand,
-        *,
-        poisson_range: tuple[float, float] = (0.0, 0.4999),
-        tolerance: float | Float[np.ndarray, " c"] = DENSE_RESIDUAL,
+        self, right: RightHand, poisson_range: tuple[float, float], tolerance: Tolerance
     ) -> SolutionModel:
         """As of a `Solver`."""
         residual = max(float(np.min(tolerance)), _SNAPSHOT_RESIDUAL)

@@ -123,10 +123,7 @@ def reduced_model_of(
     """
     tolerance = np.full(model.right.terms.shape[2], residual)
     tolerance[model.loads.perturbation_columns] = _PERTURBATION_TOLERANCE
-    return model.solver.reduced_model(
-        model.right, poisson_range=settings.poisson_range,
-        tolerance=tolerance,
-    )  # fmt: skip
+    return model.solver.reduced_model(model.right, settings.poisson_range, tolerance)
 
 
 def converged_observations(

@@ -96,7 +96,7 @@ def test_a_few_solutions_serve_every_ratio(compressed, dense, right):
 @pytest.mark.slow
 def test_the_residual_that_is_asked_for_decides_how_many_solutions_are_made(compressed, right):
     loose, tight = (
-        make_solver(compressed).reduced_model(right, poisson_range=(0.1, 0.45), tolerance=residual)
+        make_solver(compressed).reduced_model(right, (0.1, 0.45), residual)
         for residual in (1e-3, 1e-6)
     )
     assert len(loose.directions) < len(tight.directions)
