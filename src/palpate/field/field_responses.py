@@ -13,7 +13,7 @@ d the difference at the coefficients b0 about which it is expanded, S the deriva
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cached_property
 from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -301,7 +301,7 @@ class SeenPoints:
     vertices: csr_array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PushModel(FieldModel):
     """Finite elements of an object whose surface is seen to move.
 
@@ -311,30 +311,27 @@ class PushModel(FieldModel):
                                     about the observed points
     points : tuple of SeenPoints    of every probing
     near : (k, m) sparse [-]        weights of the elements under each load; rows add up to 1
-    shifts : callable               gives (3 n, 2 k) float [N]: what loads change by as contacts
-                                    move (`nodal_shifts`); computed when it is first called
     """
 
     corners: Int[np.ndarray, " c"]
     points: tuple[SeenPoints, ...]
     near: csr_array
-    shifts: Callable[[], Float[np.ndarray, "n3 k2"]]
 
     def under(
         self, session: Session, observations: Sequence[ProbeObservations] = ()
     ) -> "PushModel":
         """See `FieldModel`."""
-        seen, load = _seen(self.body, session, observations), nodal_loads(session, self.body.solid)
-        near = elements_under(self.body.solid, load)
-        shifts = cache(partial(nodal_shifts, session, self.body.solid))
-        return PushModel(
-            self.body, self.modes, load, session, tuple(observations), *seen, near, shifts
-        )
+        return _push_model(self.body, self.modes, session, observations)
+
+    @cached_property
+    def shifts(self) -> Float[np.ndarray, "n3 k2"]:
+        """What loads change by as contacts move [N] (`nodal_shifts`)."""
+        return nodal_shifts(self.session, self.body.solid)
 
     @property
     def every_load(self) -> Float[np.ndarray, "n3 l"]:
         """See `FieldModel`: after the loads, what they change by as contacts move."""
-        return np.concatenate([self.load, self.shifts()], axis=1)
+        return np.concatenate([self.load, self.shifts], axis=1)
 
     @property
     def under_loads(self) -> Float[np.ndarray, "k b"]:
@@ -561,6 +558,15 @@ def push_model(
     modes_of : callable             gives `FieldModel.modes`
     """
     body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
-    seen, load = _seen(body, session, observations), nodal_loads(session, solid)
-    near, shifts = elements_under(solid, load), cache(partial(nodal_shifts, session, solid))
-    return PushModel(body, modes_of(body), load, session, tuple(observations), *seen, near, shifts)
+    return _push_model(body, modes_of(body), session, observations)
+
+
+def _push_model(
+    body: GradedBody,
+    modes: FieldModes,
+    session: Session,
+    observations: Sequence[ProbeObservations],
+) -> PushModel:
+    seen, load = _seen(body, session, observations), nodal_loads(session, body.solid)
+    near = elements_under(body.solid, load)
+    return PushModel(body, modes, load, session, tuple(observations), *seen, near)
