@@ -18,9 +18,10 @@ def until(condition, patience=60.0):
         time.sleep(0.05)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser():
-    """A headless Chromium."""
+    """A headless Chromium, which ends with the file of tests that drives it: its driver keeps an
+    event loop running in this thread, where no second one may start."""
     sync_api = pytest.importorskip(
         "playwright.sync_api", reason="needs playwright to drive a browser, which is not installed"
     )

@@ -23,17 +23,17 @@ def viewer(tmp_path_factory):
     running.stop()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def page(browser, viewer):
     """A tab that shows the cube, and the addresses that it asked for, as `page.asked`."""
     before = set(viewer.tabs)
-    found = browser.new_page(viewport={"width": 800, "height": 500})
-    found.asked = []
-    found.on("request", lambda request: found.asked.append(request.url))
-    found.goto(viewer.address)
+    tab = browser.new_page(viewport={"width": 800, "height": 500})
+    tab.asked = []
+    tab.on("request", lambda request: tab.asked.append(request.url))
+    tab.goto(viewer.address)
     until(lambda: set(viewer.tabs) - before)
-    found.number = max(viewer.tabs)
-    found.wait_for_selector("canvas")
+    tab.number = max(viewer.tabs)
+    tab.wait_for_selector("canvas")
     until(lambda: viewer.background.green is not None)
-    yield found
-    found.close()
+    yield tab
+    tab.close()
