@@ -29,6 +29,7 @@ from palpate.pipeline import (
     fit_session,
     poke_session,
     pooled,
+    require_series,
     tool_contact,
     with_pictures_measured,
 )
@@ -311,6 +312,7 @@ def fit(
     surface: str = "smooth",
     strain: str = "small",
     material: str = "auto",
+    time: bool = False,
     pose: PoseChoice = "auto",
     cache: Path | str | None = None,
     progress: Progress = silent,
@@ -331,6 +333,8 @@ def fit(
                                     region of the session, or one that differs from place to place;
                                     auto: regions if there are any, else a field only where the data
                                     contradict one modulus
+    time : bool                     True: refuse a session from whose probings no modulus over time
+                                    can be estimated; False: estimate it where one has a series
     pose : "auto", "given" or "register"    where the object is in pictures: as the rig says, or as
                                     the pictures at rest show; auto: the latter only where they
                                     contradict the rig
@@ -352,6 +356,8 @@ def fit(
     _check_choice("strain", strain, ("small", "finite"))
     _check_choice("material", material, tuple(Material))
     given = replace(_given(session, _probe_names(probe)), smooth=surface == "smooth")
+    if time:
+        require_series(given)
     folder = None if cache is None else Path(cache)
     measured = with_pictures_measured(given, pose=pose, progress=progress)
     fitted = fit_session(

@@ -153,6 +153,11 @@ def test_choices_that_there_are_not_are_refused(cube_session, options, message):
         palpate.fit(cube_session, **options)
 
 
+def test_a_modulus_over_time_takes_a_series(cube_session):
+    with pytest.raises(InputError, match="no \\[\\[probe\\]\\] has a series"):
+        palpate.fit(cube_session, time=True)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

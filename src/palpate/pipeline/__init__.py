@@ -9,6 +9,7 @@ Depends on : `field`, `lab`, `vision`, `probe`, `bem`, `solids`, `relaxation`, `
 Read first : `fit_session.py`, then `result_files.py`.
 """
 
+from palpate.pipeline.creep import require_series as require_series
 from palpate.pipeline.fit_session import fit_session as fit_session, prepare_body as prepare_body
 from palpate.pipeline.heterogeneous import Material as Material
 from palpate.pipeline.model.contact_loads import (

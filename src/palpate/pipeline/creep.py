@@ -56,6 +56,21 @@ _Quantity = Callable[[CreepCompliance], Float[np.ndarray, " q"]]
 _MOST_NOTES = 3
 
 
+def require_series(session: Session) -> None:
+    """Refuse a session from which no modulus over time can be estimated.
+
+    Raises
+    ------
+    InputError                      no probing has a series
+    """
+    if all(each.series is None for each in session.probings):
+        raise InputError(
+            f"{session.path}: the modulus over time is asked for, but no [[probe]] has a series:"
+            " write force and motion of a push that is held, from before the contact, into a CSV"
+            ' file, and name it with series = "FILE"'
+        )
+
+
 def with_relaxation(session: Session, result: FitResult) -> FitResult:
     """A result with the modulus as a function of time, if probings have series.
 

@@ -113,6 +113,17 @@ def test_options_reach_the_estimation(palpate, calls, cube_session, tmp_path):
     assert json.loads((tmp_path / "mine" / "estimate.json").read_text())["status"] == "ok"
 
 
+def test_time_takes_a_series(palpate, calls, cube_session):
+    code, _, err = palpate("fit", cube_session, "--time")
+    assert (code, calls) == (2, [])
+    assert "no [[probe]] has a series" in err
+    rows = ["t,fx,fy,fz,tx,ty,tz", "0,0,0,0,0,0,0", "1,0,0,-1.2,0,0,-1e-4", "30,0,0,-1.2,0,0,-2e-4"]
+    (cube_session / "n01_series.csv").write_text("\n".join(rows))
+    with (cube_session / "session.toml").open("a") as file:
+        file.write('series = "n01_series.csv"\n')
+    assert palpate("fit", cube_session, "--time")[0] == 0
+
+
 @pytest.fixture
 def two_probings(cube_session):
     """The cube with a second probing, of twice the displacements."""

@@ -47,6 +47,7 @@ from palpate.pipeline import (
     moving_supports,
     reciprocity,
     require_given_motions,
+    require_series,
     session_outlook,
     size_notes,
     sliding_motion,
@@ -98,6 +99,7 @@ def fit(
     surface: Literal["smooth", "flat"] = "smooth",
     strain: Literal["small", "finite"] = "small",
     material: Literal["auto", "homogeneous", "regions", "field"] = "auto",
+    time: bool = False,
     hold_out: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
     pose: PoseChoice = "auto",
     cache: Path | None = None,
@@ -134,6 +136,9 @@ def fit(
         Field: a modulus that differs from place to place, where the data are decisively likelier
         with one. Auto: regions if there are any, else a field only where the data contradict one
         modulus.
+    time
+        Estimate the modulus as a function of time as well, or say what is missing. On by itself
+        where a probing has a series.
     hold_out
         Do not fit these probings, but predict their displacement from their force.
     pose
@@ -163,6 +168,8 @@ def fit(
         bar("reading", 0.0)
         given = _read(session, probe, hold_out or [])
         given = replace(given, smooth=surface == "smooth")
+        if time:
+            require_series(given)
         record_inputs(folder, session_files(session))
         require_probings(given)
         print_notes(given.notes)
