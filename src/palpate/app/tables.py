@@ -186,15 +186,20 @@ def held_out_table(predictions: Sequence[Prediction], sizes: Mapping[str, float]
     sizes : mapping                 `FitResult.error_sizes`
     """
     rows = []
-    for each in predictions:
-        known = np.isfinite(each.measured)
-        off, moved = (values[known] for values in (each.predicted - each.measured, each.measured))
+    for prediction in predictions:
+        known = np.isfinite(prediction.measured)
+        off, moved = (
+            values[known]
+            for values in (prediction.predicted - prediction.measured, prediction.measured)
+        )
         size = float(np.sqrt(np.square(moved).sum()))
         error = float(np.sqrt(np.square(off).sum())) / size if size else math.nan
-        sigma = np.hypot(each.std, each.noise)[known]
+        sigma = np.hypot(prediction.std, prediction.noise)[known]
         inside = np.abs(off) < HALF_95 * sigma
         share = float(inside.mean()) if inside.size else math.nan
-        rows.append((each.name, number_text(100 * error, ".2f"), number_text(100 * share, ".0f")))
+        rows.append(
+            (prediction.name, number_text(100 * error, ".2f"), number_text(100 * share, ".0f"))
+        )
     columns = ("probing", "error, rms (%)", "within 95 % (%)")
     caption = (
         "Error: with the noise and the outliers of what was measured. Within: of the measured"

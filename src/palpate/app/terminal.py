@@ -148,8 +148,8 @@ def print_file_notes(notes: Iterable[tuple[str, str]], *, files: int) -> None:
     names: dict[str, list[str]] = {}
     for name, note in notes:
         names.setdefault(note, []).append(name)
-    for note, each in names.items():
-        whose = each[0] if len(each) == 1 else f"{len(each)} of {files} files"
+    for note, concerned in names.items():
+        whose = concerned[0] if len(concerned) == 1 else f"{len(concerned)} of {files} files"
         print_text(f"Note ({whose}): {note}")
 
 

@@ -72,18 +72,18 @@ class StiffPart:
         """For a reader, without full stop: a smooth field rounds edges, so a small part differs by
         more than its interval says."""
         least, word = (self.low, "stiff") if self.ratio >= 1.0 else (1.0 / self.high, "soft")
-        place = ", ".join(str(round(1e3 * x)) for x in self.centre)
+        centre = ", ".join(str(round(1e3 * x)) for x in self.centre)
         if self.place_std is not None:
             ratio, most = self.ratio, self.high
             if self.ratio < 1.0:
                 ratio, most = 1.0 / self.ratio, 1.0 / self.low
-            ratio, most = (float(f"{each:.2g}") for each in (ratio, most))
+            ratio, most = (float(f"{value:.2g}") for value in (ratio, most))
             return (
-                f"a round part near ({place}) mm (+- {1e3 * self.place_std:.1f}) is {least:.2g} to"
+                f"a round part near ({centre}) mm (+- {1e3 * self.place_std:.1f}) is {least:.2g} to"
                 f" {most:g} times as {word} as the rest; at {ratio:g} times it is about"
                 f" {1e3 * self.size:.0f} mm across, and larger if it differs less"
             )
-        what = f"a part about {1e3 * self.size:.0f} mm across near ({place}) mm"
+        what = f"a part about {1e3 * self.size:.0f} mm across near ({centre}) mm"
         if self.depth:
             what = f"the outermost {1e3 * self.depth:.2g} mm or so"
         return f"{what} is at least {least:.2g} times as {word} as the rest"
@@ -195,19 +195,19 @@ class ModulusMap:
         rows = np.arange(len(points))
         return np.where(least[rows, best] > _OUTSIDE, near[rows, best], -1)
 
-    def boundary(self, kept: Bool[np.ndarray, " m"]) -> tuple[TriangleMesh, Indices]:
+    def boundary(self, selected: Bool[np.ndarray, " m"]) -> tuple[TriangleMesh, Indices]:
         """Surface of some of the elements.
 
         Parameters
         ----------
-        kept : (m,) bool
+        selected : (m,) bool
 
         Returns
         -------
         TriangleMesh                of all nodes
         (f,) int                    element of every triangle
         """
-        chosen = np.flatnonzero(kept)
+        chosen = np.flatnonzero(selected)
         faces = self.tetrahedra[chosen][:, _FACES].reshape(-1, 3)
         outer = np.flatnonzero(is_outer(faces))
         element = chosen[outer // len(_FACES)]

@@ -187,7 +187,7 @@ def read_regions(root: TomlTable, body: HeldObject) -> tuple[Region, ...]:
     for table in root.optional("region", root.tables) or ():
         table.check_keys(("name", *_SHAPES, "thickness", "faces", *_knowledge_keys()))
         regions.append(_region(table, body))
-        if regions[-1].name in [each.name for each in regions[:-1]]:
+        if regions[-1].name in [region.name for region in regions[:-1]]:
             table.fail("name", f"'{regions[-1].name}' is that of another region; each its own")
     return tuple(regions)
 

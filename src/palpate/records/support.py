@@ -144,9 +144,9 @@ class HeldObject:
         """Triangles of all supports together, (k,) int; `still`: only of those whose points do not
         move, which are fixed and no rollers."""
         parts = [
-            one.triangles
-            for one in self.supports
-            if not still or (one.motion == FIXED and one.directions is None)
+            support.triangles
+            for support in self.supports
+            if not still or (support.motion == FIXED and support.directions is None)
         ]
         return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
 

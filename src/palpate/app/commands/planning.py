@@ -161,11 +161,11 @@ def _table(next_probings: NextProbings) -> Table:
     for number, (k, after) in enumerate(
         zip(next_probings.chosen, next_probings.after, strict=True), start=1
     ):
-        place = ", ".join(f"{1e3 * x:.1f}" for x in next_probings.point[k])
+        position = ", ".join(f"{1e3 * x:.1f}" for x in next_probings.point[k])
         # What is rounded to zero has no sign.
         parts = np.round(next_probings.force * next_probings.inward[k], 12) + 0.0
         force = ", ".join(f"{x:.2g}" for x in parts)
-        rows.append((f"+ {number}", place, force, *expected(after)))
+        rows.append((f"+ {number}", position, force, *expected(after)))
     columns = ["pushes", "place mm", "force N", "sd nu", f"sd G {unit}", f"sd E {unit}"]
     caption = (
         f"best of {len(next_probings.point)} places; sd: standard deviations to expect with all"

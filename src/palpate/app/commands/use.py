@@ -362,7 +362,7 @@ def _stress_table(inside: InteriorState) -> Table:
     factor, unit = modulus_unit(float(equivalent.max()))
     rows = []
     for k, (stress, mises) in enumerate(zip(inside.stress, equivalent, strict=True), start=1):
-        components = np.array([stress[place] for place in _COMPONENTS.values()]) / factor
+        components = np.array([stress[index] for index in _COMPONENTS.values()]) / factor
         rows.append((f"inside {k}", *_numbers(components).split(", "), f"{mises / factor:.3g}"))
     title = f"Stress inside ({unit}, tension positive)"
     return terminal_table(title, ("where", *_COMPONENTS, "von Mises"), rows)
