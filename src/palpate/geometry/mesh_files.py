@@ -260,10 +260,10 @@ def _check_count(path: Path, count: int, most: int, *, solid: bool = False) -> N
 
 def _check_span(path: Path, vertices: Vertices) -> None:
     """Refuse implausible dimensions, before lengths are squared."""
-    span, place = float(np.ptp(vertices, axis=0).max()), float(abs(vertices).max())
-    if not (_SPAN[0] <= span and place <= _SPAN[1]):
+    span, farthest = float(np.ptp(vertices, axis=0).max()), float(abs(vertices).max())
+    if not (_SPAN[0] <= span and farthest <= _SPAN[1]):
         raise MeshError(
-            f"{path}: is {span:.3g} m across, and up to {place:.3g} m from the origin; an object"
+            f"{path}: is {span:.3g} m across, and up to {farthest:.3g} m from the origin; an object"
             f" must be {_SPAN[0]:g} m across or more, within {_SPAN[1]:g} m: check length_unit"
         )
 

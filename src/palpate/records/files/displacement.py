@@ -152,8 +152,8 @@ def _without_repeated_rows(
     unique = np.sort(first)
     lines, rows = ([column[i] for i in unique] for column in (table.numbers, table.rows))
     note = (
-        f"{table.path}: {len(values) - len(unique)} of {len(values)} rows repeat another one, number"
-        " by number, and were left out: a copy is no measurement of its own."
+        f"{table.path}: {len(values) - len(unique)} of {len(values)} rows repeat another one,"
+        " number by number, and were left out: a copy is no measurement of its own."
     )
     return replace(table, numbers=tuple(lines), rows=tuple(rows)), values[unique], (note,)
 
