@@ -57,21 +57,21 @@ def updated_response(response, changes, compliance, tools, nodal):
     if changes > REBUILT_AFTER:
         assign(wanted, nodal.given)
         return fresh_response(compliance, nodes, wanted), 0
-    kept, out = response.copy(), np.zeros((3 * nodes.size, 3 * nodes.size))
+    pivoted, out = response.copy(), np.zeros((3 * nodes.size, 3 * nodes.size))
     of = np.full(wanted.size, -1)
     for j in range(before.size):
         i = before[j]
         if wanted[i] == nodal.given[i]:
             of[i] = j
         elif nodal.given[i] == BY_DISPLACEMENT:
-            pivot(kept, j)
+            pivot(pivoted, j)
     for h in range(nodes.size):
         for g in range(nodes.size):
             j, i = of[nodes[h]], of[nodes[g]]
             if j >= 0 and i >= 0:
                 for a in range(3):
                     for b in range(3):
-                        out[3 * h + a, 3 * g + b] = kept[3 * j + a, 3 * i + b]
+                        out[3 * h + a, 3 * g + b] = pivoted[3 * j + a, 3 * i + b]
     for h in range(nodes.size):
         if of[nodes[h]] < 0:
             append(out, h, compliance, nodes, wanted, of)
@@ -135,11 +135,11 @@ def append(response, h, compliance, nodes, given, of):
 @numba.njit(cache=True, error_model="numpy")
 def pivot(response, j):
     """Exchange force and displacement of one node as given and found; its own inverse."""
-    own, inverse, f = np.empty((3, 3)), np.empty((3, 3)), 3 * j
+    diagonal, inverse, f = np.empty((3, 3)), np.empty((3, 3)), 3 * j
     for a in range(3):
         for b in range(3):
-            own[a, b] = response[f + a, f + b]
-    invert(own, inverse)
+            diagonal[a, b] = response[f + a, f + b]
+    invert(diagonal, inverse)
     rows = np.zeros((3, len(response)))
     for a in range(3):
         for b in range(3):
