@@ -164,7 +164,7 @@ def press_slopes(
     if sag is not None:
         forces[:-1, 0] = sag.weight.ravel()
         carried = surface_values(body.solid, tip.point[None])
-        axis = np.stack([carried @ each for each in sag.slopes.T.reshape(-1, len(sag.weight), 3)])
+        axis = np.stack([carried @ slope for slope in sag.slopes.T.reshape(-1, len(sag.weight), 3)])
         forces += potential.forces_by_shift(at, axis[:, 0].T)
     return slopes(potential, at, forces)[:-1]
 
