@@ -455,10 +455,10 @@ def probe_tables(
         },
     }
     # `tip.point` is the centre of a sphere, one radius above the contact point.
-    place = closest_points(config.specimen.mesh, tip.point[None]).position[0]
+    contact_point = closest_points(config.specimen.mesh, tip.point[None]).position[0]
     truth = {
         "name": probe.name,
-        "contact_point": place.tolist(),
+        "contact_point": contact_point.tolist(),
         "contact_radius": last.radius,
         "direction": tip.direction.tolist(),
         "force": last.force.tolist(),
