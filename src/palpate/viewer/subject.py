@@ -99,9 +99,12 @@ def shown_probings(subject: Subject) -> tuple[FittedProbing, ...]:
     -------
     tuple of FittedProbing          in the session's order
     """
-    fitted = {one.name: one for one in subject.surface.probings} if subject.surface else {}
+    fitted = (
+        {probing.name: probing for probing in subject.surface.probings} if subject.surface else {}
+    )
     return tuple(
-        fitted.get(one.name) or _measured(one, subject.session) for one in subject.session.probings
+        fitted.get(probing.name) or _measured(probing, subject.session)
+        for probing in subject.session.probings
     )
 
 
@@ -227,7 +230,9 @@ class BackgroundWork:
 
     def _work(self) -> None:
         session = self.subject.session
-        if session.probings and all(one.displacement is not None for one in session.probings):
+        if session.probings and all(
+            probing.displacement is not None for probing in session.probings
+        ):
             self._fit(session)
         else:
             self.model_text = (
