@@ -137,9 +137,9 @@ def find_contact(
         )
     pressed = _pressed_part(model.mesh, force)
     guess = _first_guess(pressed, points, displacement, force)
-    place = closest_points(model.mesh, points)
+    closest = closest_points(model.mesh, points)
     nodes = model.system.surface.displacement
-    at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
+    at_points = interpolation_matrix(nodes, closest.triangle, closest.barycentric)
     press = _MeasuredPress(force, radius, profile, points, displacement, at_points)
     for step in _STEPS:
         for _ in range(_MAX_MOVES):
@@ -189,8 +189,8 @@ def _ring(
     mesh: TriangleMesh, centre: Vector3, size: float
 ) -> tuple[Points, Float[np.ndarray, "2 3"]]:
     """A surface point and six around it, and two unit tangents there."""
-    place = closest_points(mesh, centre[None])
-    tangents = tangents_of(unit_normals(mesh)[place.triangle[0]])
+    closest = closest_points(mesh, centre[None])
+    tangents = tangents_of(unit_normals(mesh)[closest.triangle[0]])
     return closest_points(mesh, centre + size * _HEXAGON @ tangents).position, tangents
 
 
@@ -228,18 +228,18 @@ def _unexplained(
     return best
 
 
-def _load(model: ContactModel, press: _MeasuredPress, place: Vector3) -> SurfaceLoad:
-    contact = Contact(place, press.radius, press.profile)
+def _load(model: ContactModel, press: _MeasuredPress, point: Vector3) -> SurfaceLoad:
+    contact = Contact(point, press.radius, press.profile)
     patch = find_contact_patch(model.mesh, contact, model.held, name="searched")
     disc = PressureDisc(contact.point, press.radius, contact.pressure)
     return SurfaceLoad(patch.triangles, patch.density, disc)
 
 
 def _paraboloid_minimum(
-    place: Float[np.ndarray, "k 2"], value: Float[np.ndarray, " k"]
+    offsets: Float[np.ndarray, "k 2"], value: Float[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 2"]]:
     """Minimum of a fitted paraboloid, limited to the fitted region, and half its Hessian."""
-    x, y = place.T
+    x, y = offsets.T
     matrix = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
     _, bx, by, cxx, cxy, cyy = np.linalg.lstsq(matrix, value, rcond=None)[0]
     half_hessian = np.array([[cxx, 0.5 * cxy], [0.5 * cxy, cyy]])
@@ -249,5 +249,5 @@ def _paraboloid_minimum(
             " found; give `points` or `poses` in [contact]"
         )
     shift = -0.5 * np.linalg.solve(half_hessian, np.array([bx, by]))
-    reach = np.linalg.norm(place, axis=1).max()
+    reach = np.linalg.norm(offsets, axis=1).max()
     return shift * min(1.0, reach / max(float(np.linalg.norm(shift)), 1e-300)), half_hessian

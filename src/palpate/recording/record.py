@@ -305,8 +305,8 @@ def _place_press(
         series = _series(recorded, poses, press, point, unit)
     elif model is not None:
         point, std = _contact_from_motion(folder, recording, press, model)
-    place = closest_points(recording.mesh, point[None])
-    normal = unit_normals(recording.mesh)[place.triangle[0]]
+    closest = closest_points(recording.mesh, point[None])
+    normal = unit_normals(recording.mesh)[closest.triangle[0]]
     if press.reading.force @ normal > 0.0:
         raise RecordError(
             f"{recording.path}: the force of press {press.number},"
