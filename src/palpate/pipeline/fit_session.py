@@ -217,9 +217,11 @@ def prepare_body(
     """
     refined = refined_session(session)
     with_loads = not has_tools(session)
-    compared = [(each, rings) for _, each, rings in compared_meshes(refined)]
-    for each, rings in [(refined, 1), *compared]:
-        model = ungraded_model(each, settings=settings, rings=rings, cache=cache)
+    compared = [
+        (compared_session, rings) for _, compared_session, rings in compared_meshes(refined)
+    ]
+    for body, rings in [(refined, 1), *compared]:
+        model = ungraded_model(body, settings=settings, rings=rings, cache=cache)
         _keep(model, settings, UNGRADED_RESIDUAL, with_loads=with_loads)
     if with_loads:
         graded = graded_session(refined)
@@ -241,7 +243,7 @@ def _described(session: Session, refined: Session, graded: Session) -> dict[str,
     return {
         "surface": "smooth" if session.smooth else "flat",
         "errors": asdict(session.errors),
-        "vertices": [len(each.mesh.vertices) for each in (session, refined, graded)],
+        "vertices": [len(meshed.mesh.vertices) for meshed in (session, refined, graded)],
         "assumed_forces": [
             probing.name for probing in session.probings if probing.force_std is None
         ],
@@ -432,7 +434,7 @@ def _contact_notes(session: Session, probes: Sequence[ProbeEstimate]) -> list[st
         if beside > _MENTIONED * contact.radius:
             places.append(f"{1e3 * beside:.2g} mm in {probing.name}")
         contact_errors = [
-            each for each in probe.errors if each.name.startswith((RADIUS_ERROR, OUTWARD_ERROR))
+            error for error in probe.errors if error.name.startswith((RADIUS_ERROR, OUTWARD_ERROR))
         ]
         if any(error.is_surprising for error in contact_errors):
             doubted.setdefault(tool.friction_name, []).append(probing.name)
@@ -454,7 +456,7 @@ def _contact_notes(session: Session, probes: Sequence[ProbeEstimate]) -> list[st
 def _rejection_notes(session: Session) -> list[str]:
     """A note on points that could not be tracked in the pictures."""
     counts = rejections(session)
-    return [rejection_note(counts)] if any(each.lost for each in counts) else []
+    return [rejection_note(counts)] if any(count.lost for count in counts) else []
 
 
 def _keep(model: ObjectModel, settings: FitSettings, residual: float, *, with_loads: bool) -> None:

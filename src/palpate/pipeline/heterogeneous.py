@@ -180,8 +180,8 @@ def _fit_with_regions(
     result = fit(regions.observations, settings=settings, progress=part_of(progress, _FOUND, 1.0))
     estimate, estimates = result.estimate, regions.estimates(result.minimum)
     if estimate.status is Status.MODEL_CONTRADICTED:
-        estimates = tuple(each.without_interval for each in estimates)
-    notes = tuple(each.note for each in estimates if each.note)
+        estimates = tuple(region.without_interval for region in estimates)
+    notes = tuple(region.note for region in estimates if region.note)
     estimate = replace(estimate, regions=estimates, notes=(*estimate.notes, *notes))
     return replace(result, estimate=estimate, map=regions.map(result.minimum)), regions
 
@@ -229,7 +229,11 @@ def fit_other_causes(
         likeliest, *others = explanations(session, observations, plain.minimum, cache=cache)
     except (MeshError, SingularSystemError):
         return plain, None
-    field = max(each.log_evidence for each in (likeliest, *others) if each.cause is Cause.PLACE)
+    field = max(
+        explanation.log_evidence
+        for explanation in (likeliest, *others)
+        if explanation.cause is Cause.PLACE
+    )
     errors = evidence_of_errors(plain.minimum)
     if errors - likeliest.log_evidence > DECISIVE:
         return plain, None
@@ -339,7 +343,7 @@ def _heterogeneous(
     verdict, *parts = described.sentences
     verdict += _gain(probes)
     sentences = [verdict, *(["; ".join(parts)] if parts else [])]
-    notes = tuple(f"{each[0].upper()}{each[1:]}." for each in sentences)
+    notes = tuple(f"{sentence[0].upper()}{sentence[1:]}." for sentence in sentences)
     estimate = replace(
         estimate, status=status, field=described, probes=probes, notes=(*notes, *estimate.notes)
     )

@@ -244,8 +244,8 @@ def _perturbed(
             )
             for name in names
         ]
-        for steps, place in zip(_PLACES.tolist(), places[1:], strict=True):
-            moved_contact = replace(contact, point=contact.point + place - places[0])
+        for steps, position in zip(_PLACES.tolist(), places[1:], strict=True):
+            moved_contact = replace(contact, point=contact.point + position - places[0])
             yield dict(zip(parameters, steps, strict=True)), moved_contact
     radius_std = _radius_std(session, contact)
     if radius_std > 0.0 and contact.radius is not None:

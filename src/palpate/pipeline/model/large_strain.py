@@ -101,11 +101,11 @@ class Correction:
 
     def at(self, constants: MaterialConstants) -> Points:
         """The correction for nearly the same constants, (p, 3) [m]."""
-        own = self.constants
+        present = self.constants
         change = [
-            np.log(constants.shear_modulus / own.shear_modulus),
-            constants.poisson_ratio - own.poisson_ratio,
-            constants.stiffening - own.stiffening,
+            np.log(constants.shear_modulus / present.shear_modulus),
+            constants.poisson_ratio - present.poisson_ratio,
+            constants.stiffening - present.stiffening,
         ]
         return self.value + np.tensordot(change, self.slope, axes=1)
 
@@ -186,8 +186,8 @@ def fit_at_finite_strain(
     if estimated.value <= _HOPELESS * estimated.std:
         result, starts = _converged(body, used, result, report, stiffens=False, starts=starts)
     estimate, shown = result.estimate, is_stiffening(estimated)
-    told, size = stiffening_text(estimated, shown=shown), _size_note(observations, starts)
-    notes = (told, *estimate.notes, size) if shown else (*estimate.notes, size, told)
+    sentence, size = stiffening_text(estimated, shown=shown), _size_note(observations, starts)
+    notes = (sentence, *estimate.notes, size) if shown else (*estimate.notes, size, sentence)
     if estimate.status is Status.MODEL_CONTRADICTED:
         notes, estimated = (
             (*estimate.notes, size),
@@ -247,7 +247,7 @@ def strain_corrections(
             pressed[same] if same < k else _pressed(body, k, elastic, constants, law, start, sag)
         )
     return tuple(
-        Correction(constants, seen @ value, np.stack([seen @ each for each in slope]), press)
+        Correction(constants, seen @ value, np.stack([seen @ change for change in slope]), press)
         for seen, (press, value, slope) in zip(body.observed, pressed, strict=True)
     )
 
@@ -401,7 +401,7 @@ def corrected_observations(
     n, now = len(observed.position), correction.constants
     tip, fixed = observed.tip_displacement, _taken_off(correction, stiffens=stiffens)
     along = now.shear_modulus * observed.force / float(observed.force @ observed.force)
-    by_modulus, by_ratio = (each.ravel() for each in correction.slope[:2])
+    by_modulus, by_ratio = (derivative.ravel() for derivative in correction.slope[:2])
     by_force = np.outer(-by_modulus, along), np.outer(by_ratio, along)
     response = _FiniteResponse(observed.response, now.poisson_ratio, *by_force)
     errors = [_error(observed.name, correction, rough)]
