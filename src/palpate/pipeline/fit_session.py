@@ -217,9 +217,7 @@ def prepare_body(
     """
     refined = refined_session(session)
     with_loads = not has_tools(session)
-    compared = [
-        (compared_session, rings) for _, compared_session, rings in compared_meshes(refined)
-    ]
+    compared = [(body, rings) for _, body, rings in compared_meshes(refined)]
     for body, rings in [(refined, 1), *compared]:
         model = ungraded_model(body, settings=settings, rings=rings, cache=cache)
         _keep(model, settings, UNGRADED_RESIDUAL, with_loads=with_loads)

@@ -174,11 +174,11 @@ def local_field(
         sharp = np.einsum("ann->na", field.inverse)
         scaled = np.einsum("anm,ma->na", field.inverse, field.moved)
         off = np.abs(scaled) / (np.sqrt(sharp) * field.level)
-        near = off.max(axis=1) < -float(ndtri(0.5 * FALSE_ALARM / off.size))
-        if near.all():
+        inliers = off.max(axis=1) < -float(ndtri(0.5 * FALSE_ALARM / off.size))
+        if inliers.all():
             break
-        rows, points, moved = rows[near], points[near], moved[near]
-        noise = noise[:, near][:, :, near]
+        rows, points, moved = rows[inliers], points[inliers], moved[inliers]
+        noise = noise[:, inliers][:, :, inliers]
     return field
 
 
@@ -203,9 +203,8 @@ def _most_likely(
     motion = float(np.sqrt((around**2).mean())) + np.finfo(float).tiny ** 0.25
     levels = claim * _LOUD if claimed else motion * _QUIET
     # The plane is taken out: what is left of n points is n - 4 combinations of them.
-    rest = np.linalg.qr(np.column_stack([np.ones(len(position)), position]), mode="complete")[0][
-        :, 4:
-    ]
+    plane = np.column_stack([np.ones(len(position)), position])
+    rest = np.linalg.qr(plane, mode="complete")[0][:, 4:]
     white = np.linalg.inv(np.linalg.cholesky(rest.T @ noise @ rest)) @ rest.T
     chance = np.zeros((len(_LENGTHS), len(levels), len(_RATIOS)))
     for k, length in enumerate(_LENGTHS):

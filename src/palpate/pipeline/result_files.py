@@ -561,8 +561,8 @@ def _surface(arrays: dict[str, np.ndarray]) -> FittedSurface:
         *(arrays[f"likelihood/{key}"] for key in ("poisson_ratio", "shear_modulus", "deviance"))
     )
     return FittedSurface(
-        str(arrays["name"]), arrays["vertices"], arrays["triangles"], arrays["held"], tuple(probings),
-        likelihood,
+        str(arrays["name"]), arrays["vertices"], arrays["triangles"], arrays["held"],
+        tuple(probings), likelihood,
     )  # fmt: skip
 
 

@@ -306,10 +306,8 @@ def _perturbed(session: Session, table: LoadTable) -> Iterator[tuple[SurfaceLoad
     """Contacts beside their place, or of another radius, under the forces of their probings."""
     for column, perturbation in zip(table.perturbation_columns, table.perturbations, strict=True):
         if perturbation.patch is not None:
-            yield (
-                surface_load(perturbation.patch),
-                {column: session.probings[perturbation.probing].force},
-            )
+            force = session.probings[perturbation.probing].force
+            yield surface_load(perturbation.patch), {column: force}
 
 
 def _units(table: LoadTable, patch: ContactPatch) -> _Forces:

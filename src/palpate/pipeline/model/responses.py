@@ -213,10 +213,8 @@ def spring_responses(
     SingularSystemError             the support does not hold the object
     NotConvergedError               the basis of the reduced model does not converge
     """
-    system, unit_compliances = (
-        model.system,
-        compliances(model.session) / model.system.traction_length,
-    )
+    system = model.system
+    unit_compliances = compliances(model.session) / system.traction_length
     known_traction = _known_traction(model, springs)
     changes, blocks = springs.compliance_derivatives(unit_compliances), 1 + len(unit_compliances)
     if settings.method == FitMethod.NELDER_MEAD:
@@ -239,7 +237,8 @@ def spring_responses(
 
     def reduced(shear_modulus: float) -> list[ProbeResponse]:
         reduced_model = make_spring_model(
-            centred.slope, factors, model.right, springs.compliance(shear_modulus * unit_compliances), changes,
+            centred.slope, factors, model.right,
+            springs.compliance(shear_modulus * unit_compliances), changes,
             known_traction=known_traction, poisson_range=settings.poisson_range,
         )  # fmt: skip
         return reduced_responses(reduced_model, rows, settings.poisson_range, blocks=blocks)
