@@ -122,7 +122,7 @@ def _window_variances(
     scene: Scene, later: SplinePicture, rows: Int[np.ndarray, " k"], match: Match, camera: int
 ) -> Float[np.ndarray, " w"]:
     """Relative blur variance in one camera, estimated from each window found [px^2]."""
-    kept = np.flatnonzero((match.outcome == Outcome.VALID) & match.cameras[:, camera])
+    valid = np.flatnonzero((match.outcome == Outcome.VALID) & match.cameras[:, camera])
     grey = scene.pictures[camera].grey
     instants = _CameraInstants(
         scene.packed[camera], grey, cv2.Laplacian(grey, cv2.CV_32F), scene.surface[camera],
@@ -130,10 +130,10 @@ def _window_variances(
         # A spline's Laplacian at the pixel centres has the Laplacian of its coefficients.
         cv2.Laplacian(later.coefficients, cv2.CV_32F),
     )  # fmt: skip
-    variance = np.empty(len(kept))
+    variance = np.empty(len(valid))
     in_threads(
-        _window_variances_kernel, len(kept), instants, surface_points(scene, rows[kept]),
-        match.motion[kept], scene.subset // 2, variance, min_items=_MIN_WINDOWS,
+        _window_variances_kernel, len(valid), instants, surface_points(scene, rows[valid]),
+        match.motion[valid], scene.subset // 2, variance, min_items=_MIN_WINDOWS,
     )  # fmt: skip
     return variance
 

@@ -82,13 +82,13 @@ class DenseStart:
     trusted: Bool[np.ndarray, "rows columns"]
 
     def at(
-        self, place: Float[np.ndarray, "n 2"]
+        self, point: Float[np.ndarray, "n 2"]
     ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
         """Flow and its trust flag at sub-pixel places, interpolated bilinearly.
 
         Parameters
         ----------
-        place : (n, 2) float [px]       column and row
+        point : (n, 2) float [px]       column and row
 
         Returns
         -------
@@ -96,11 +96,11 @@ class DenseStart:
         trusted : (n,) bool             False outside the picture
         """
         # `cv2.remap` takes at most 32767 columns, so the list is folded into rows.
-        folded = np.full((1 + len(place) // _FOLD, _FOLD, 2), -_FOLD, dtype=np.float32)
-        folded.reshape(-1, 2)[: len(place)] = place
+        folded = np.full((1 + len(point) // _FOLD, _FOLD, 2), -_FOLD, dtype=np.float32)
+        folded.reshape(-1, 2)[: len(point)] = point
         layers = np.dstack([self.flow, self.trusted.astype(np.float32)])
         layers_there = cv2.remap(layers, folded, NOT_GIVEN, cv2.INTER_LINEAR)
-        layers_there = layers_there.reshape(-1, 3)[: len(place)]
+        layers_there = layers_there.reshape(-1, 3)[: len(point)]
         return layers_there[:, :2], layers_there[:, 2] > 0.5
 
 
@@ -227,10 +227,10 @@ def _composed(
     return first + sampled(second, _grid(first.shape) + first)
 
 
-def _inside(place: Float[np.ndarray, "rows columns 2"]) -> Bool[np.ndarray, "rows columns"]:
+def _inside(position: Float[np.ndarray, "rows columns 2"]) -> Bool[np.ndarray, "rows columns"]:
     """True where a place lies within a picture of the same size."""
-    rows, columns = place.shape[:2]
-    column, row = place[..., 0], place[..., 1]
+    rows, columns = position.shape[:2]
+    column, row = position[..., 0], position[..., 1]
     return (column >= 0.0) & (row >= 0.0) & (column <= columns - 1) & (row <= rows - 1)
 
 
@@ -256,8 +256,8 @@ def _fits(
 
     `gap` is the forward-backward residual; `limits` apply to it and to the roughness [px].
     """
-    place = _grid(a.grey.shape) + there
-    grey = sampled(b.grey, place)
+    position = _grid(a.grey.shape) + there
+    grey = sampled(b.grey, position)
     mean, variance = moments(grey)
     common = cv2.blur(a.grey * grey, (WINDOW, WINDOW)) - a.mean * mean
     # The constant avoids 0 / 0; it is negligible beside the quantisation noise.
@@ -267,7 +267,7 @@ def _fits(
         (score > _MIN_CORRELATION)
         & (_square(gap) < limits[0] ** 2)
         & (_square(roughness) < limits[1] ** 2)
-        & _inside(place)
+        & _inside(position)
     )
 
 
@@ -380,10 +380,10 @@ def _brought_back(
     moved: NormalisedImage, flow: Float[np.ndarray, "rows columns 2"]
 ) -> UInt8[np.ndarray, "rows columns"]:
     """The moved picture warped back to rest, uniform grey where that lies beyond its edge."""
-    place = _grid(moved.grey.shape) + flow
+    source = _grid(moved.grey.shape) + flow
     edge, even_grey = cv2.BORDER_CONSTANT, 128
     return cv2.remap(
-        moved.levels, place, NOT_GIVEN, cv2.INTER_LINEAR, borderMode=edge, borderValue=even_grey
+        moved.levels, source, NOT_GIVEN, cv2.INTER_LINEAR, borderMode=edge, borderValue=even_grey
     )
 
 

@@ -176,8 +176,8 @@ def median_around(
     """
     near = _nearest(point, valid, reach)
     around = np.where(near >= 0, value[np.maximum(near, 0)], np.nan)
-    own = np.where(valid, value, np.nan)[:, None]
-    everything = np.hstack([own, around])
+    itself = np.where(valid, value, np.nan)[:, None]
+    everything = np.hstack([itself, around])
     median = _nanmedian(everything)
     return np.where(np.isnan(median), value, median)
 
@@ -195,6 +195,6 @@ def _nearest(point: Points, valid: Flags, reach: float) -> Int[np.ndarray, "n k"
     index = np.where(index == np.arange(len(point))[:, None], -1, index)
     # Missing neighbours go to the end; the order of the others is kept.
     order = np.argsort(index < 0, axis=1, kind="stable")
-    kept = np.take_along_axis(index, order, axis=1)[:, :_MAX_NEIGHBOURS]
-    near[:, : kept.shape[1]] = kept
+    neighbours = np.take_along_axis(index, order, axis=1)[:, :_MAX_NEIGHBOURS]
+    near[:, : neighbours.shape[1]] = neighbours
     return near

@@ -195,8 +195,8 @@ def interior_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "r
         there[tuple(near)][jump] = 0
         there[tuple(far)][jump] = 0
     around = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), dtype=np.uint8)
-    kept = cv2.erode(there, around, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    return kept.astype(np.float32)
+    eroded = cv2.erode(there, around, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return eroded.astype(np.float32)
 
 
 def _views(

@@ -89,8 +89,8 @@ def check_rig(
 def _all_matches(pictures: PreparedPictures) -> _Pairs:
     """Feature matches of every pair of pictures, in both orders."""
     cameras = pictures.rig.cameras
-    for camera, picture, own in zip(cameras, pictures.grey, pictures.features, strict=True):
-        if len(own.point) == 0:
+    for camera, picture, features in zip(cameras, pictures.grey, pictures.features, strict=True):
+        if len(features.point) == 0:
             raise InputError(
                 f"the picture of camera '{camera.name}' shows no texture (grey levels"
                 f" {picture.min():.0f} to {picture.max():.0f}); nothing can be followed in it."
