@@ -19,7 +19,7 @@ class HandPage(Page):
     """The page of a person whose hand does what it says, where it says."""
 
     def __init__(self, bench):
-        super().__init__("ball", port=None, say=lambda _: None)
+        super().__init__("ball", port=None, on_message=lambda _: None)
         self.hand = Hand(bench)
 
     def place(self, point, inward):

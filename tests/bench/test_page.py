@@ -52,7 +52,7 @@ class Gui(Controls):
 def page(monkeypatch):
     server = MagicMock(gui=Gui())
     monkeypatch.setattr("palpate.bench.page.open_server", lambda *_: (server, "address"))
-    made = Page("ball", port=None, say=lambda _: None)
+    made = Page("ball", port=None, on_message=lambda _: None)
     made.gui = server.gui
     return made
 
@@ -203,7 +203,7 @@ def test_a_ring_is_where_to_press(seen):
     rig, pictures = seen
     camera, tile = rig.cameras[0], 320
     for inward, colour in ((DOWN, (213, 94, 0)), (-DOWN, (138, 143, 152))):
-        sheet = montage("abc", pictures, rig, place=(TOP, inward))
+        sheet = montage("abc", pictures, rig, target=(TOP, inward))
         scale = tile / pictures[0].shape[1]
         x, y = scale * (project(camera, TOP[None])[0] + 0.5)
         assert tuple(sheet[round(y), round(x - 21)]) == colour

@@ -152,7 +152,7 @@ def test_every_viewer_has_a_token_of_its_own(viewer):
 
 
 def test_the_page_of_a_measurement_is_guarded_alike():
-    page = Page("ball", port=None, say=lambda _: None)
+    page = Page("ball", port=None, on_message=lambda _: None)
     try:
         here = Address(page.address)
         assert [answer(here, path)[0] for path in ("/", f"/{'0' * 32}/")] == [403, 403]
