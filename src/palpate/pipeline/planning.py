@@ -386,9 +386,8 @@ def expected_precision(session: Session) -> dict[str, float]:
     SingularSystemError, NotConvergedError    as in `session_observations`
     """
     size, moved = bounding_diagonal(session.mesh), _lengths(session)
-    shear = max(float(np.linalg.norm(probing.force)) for probing in session.probings) / (
-        size * moved
-    )
+    strongest = max(float(np.linalg.norm(probing.force)) for probing in session.probings)
+    shear = strongest / (size * moved)
     has_tool = any(probing.contact.radius is None for probing in session.probings)
     for _ in range(2 if has_tool else 1):
         settled = with_contact_radii(session, shear_modulus=shear, poisson_ratio=_RATIOS[1])
@@ -413,10 +412,8 @@ def expected_precision(session: Session) -> dict[str, float]:
 
 def _lengths(session: Session) -> float:
     """Typical displacement of the measured points [m]."""
-    fields = [
-        probing.displacement for probing in session.probings if probing.displacement is not None
-    ]
-    length = [lengths(field.displacement[observed_rows(field)]) for field in fields]
+    fields = (probing.displacement for probing in session.probings)
+    length = [lengths(f.displacement[observed_rows(f)]) for f in fields if f is not None]
     return float(np.median(np.concatenate(length)))
 
 

@@ -166,8 +166,7 @@ def fit(
     bar_of = progress_bar(_shorter(strain, method))
     with result_folder(target, kind="fit", force=force) as folder, bar_of as bar:
         bar("reading", 0.0)
-        given = _read(session, probe, hold_out or [])
-        given = replace(given, smooth=surface == "smooth")
+        given = replace(_read(session, probe, hold_out or []), smooth=surface == "smooth")
         if time:
             require_series(given)
         record_inputs(folder, session_files(session))
@@ -192,8 +191,7 @@ def fit(
             progress=part_of(progress, fit_begins, _DRAWING_BEGINS),
         )
         progress("tables and pictures", _DRAWING_BEGINS)
-        choices = (surface, strain, pose, material)
-        command = _command(session, probe, hold_out, settings, choices)
+        command = _command(session, probe, hold_out, settings, (surface, strain, pose, material))
         result = _with_provenance(result, before, log, command)
         predictions = () if held is None else result.predict(held)
         write_held_out(folder, predictions)

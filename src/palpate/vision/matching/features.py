@@ -200,12 +200,10 @@ def interpolated(samples: Samples, shape: tuple[int, int]) -> Float[np.ndarray, 
     node = np.stack([column.ravel(), row.ravel()], axis=1).astype(np.float64)
     motion = _fitted(samples, node).reshape(*row.shape, 2).astype(np.float32)
     # Constant beyond the outermost nodes.
-    node_position = np.empty((*shape, 2), dtype=np.float32)
-    node_position[..., 0] = (np.arange(shape[1], dtype=np.float32) - _SPACING // 2) / _SPACING
-    node_position[..., 1] = ((np.arange(shape[0], dtype=np.float32) - _SPACING // 2) / _SPACING)[
-        :, None
-    ]
-    return sampled(motion, node_position)
+    position = np.empty((*shape, 2), dtype=np.float32)
+    position[..., 0] = (np.arange(shape[1], dtype=np.float32) - _SPACING // 2) / _SPACING
+    position[..., 1] = ((np.arange(shape[0], dtype=np.float32) - _SPACING // 2) / _SPACING)[:, None]
+    return sampled(motion, position)
 
 
 def sampled(
