@@ -60,7 +60,7 @@ class Checkpoints:
 
     @property
     def in_memory(self) -> bool:
-        """Whether they are kept in memory."""
+        """True if parts are kept in memory, not in files."""
         return isinstance(self.folder, Memory)
 
     def load_or_make(

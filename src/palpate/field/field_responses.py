@@ -141,7 +141,7 @@ class FieldModel(ABC):
 
     @abstractmethod
     def under(self, session: Session, observations: Sequence[ProbeObservations] = ()) -> Self:
-        """The same body under the loads of another session.
+        """This model of the body, under the loads of another session.
 
         Parameters
         ----------

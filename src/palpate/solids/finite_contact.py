@@ -261,13 +261,13 @@ class _ContactPotential:
         return np.maximum(-distance, 0.0), normal
 
     def drawn_in(self, at: Unknowns) -> "_ContactPotential":
-        """The same with what of the surface is within the rim now."""
+        """This potential with the part of the surface that is within the rim now."""
         positions = self.points + self.at_points @ at[:-1].reshape(-1, 3)
         return replace(self, within=_within(self.tip, positions, self.area))
 
     def settled(self, at: Unknowns, solver: Solver | None) -> Unknowns:
-        """Equilibrium with the skin that has moved under the rim by then, from one with that
-        which was there before, and its solver."""
+        """Equilibrium with the skin that is under the rim by then, from an equilibrium with the
+        skin that was there before, and its solver."""
         before = self
         for _ in range(_MOST_DRAWS):
             now = before.drawn_in(at)

@@ -124,7 +124,7 @@ def pose_changes(model: ObjectModel, points: SurfacePoints) -> list[csr_array]:
 def pose_dips(
     model: ObjectModel, points: SurfacePoints, columns: Int[np.ndarray, " c"]
 ) -> Float[np.ndarray, "p 2 r c"]:
-    """The same change of what the vertices miss of the dips about contacts.
+    """Change with the pose of what vertices miss of the dips about contacts; see `pose_changes`.
 
     Parameters
     ----------
