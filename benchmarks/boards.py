@@ -43,8 +43,8 @@ def seen_corners(
     for c, (intrinsics, pose) in enumerate(zip(bundle.intrinsics, bundle.camera, strict=True)):
         for v, view in enumerate(bundle.view):
             whole = pose @ view
-            place = points @ whole[:3, :3].T + whole[:3, 3]
-            pixel, _, _ = seen_points(intrinsics, place)
+            position = points @ whole[:3, :3].T + whole[:3, 3]
+            pixel, _, _ = seen_points(intrinsics, position)
             inside = ((pixel > 5.0) & (pixel < np.array(SIZE) - 6.0)).all(axis=1)
             if inside.sum() < 12:
                 continue

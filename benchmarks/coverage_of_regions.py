@@ -45,14 +45,14 @@ def measured(name: str, kind: str, folder: Path) -> Measured:
 def fitted(body: Measured, kind: str, seed: int, folder: Path) -> Row:
     """What a fit of one draw says of the region and of the rest."""
     start, true = time.perf_counter(), REGIONS[kind][1]
-    told = session(body, ErrorPriors(), NOISE, seed)
-    told = replace(told, regions=regions_of(body.mesh, kind))
+    drawn = session(body, ErrorPriors(), NOISE, seed)
+    drawn = replace(drawn, regions=regions_of(body.mesh, kind))
     cache = folder / "integrals"
-    estimate = fit_session(told, cache=cache, material=Material.REGIONS).estimate
+    estimate = fit_session(drawn, cache=cache, material=Material.REGIONS).estimate
     (region,) = estimate.regions
     moduli = (region.shear_modulus, np.log(SHEAR_MODULUS) + true), (region.ratio, true)
     (off, sigma), (ratio_off, ratio_sigma) = (
-        (float(np.log(each.value) - log), each.std / each.value) for each, log in moduli
+        (float(np.log(modulus.value) - log), modulus.std / modulus.value) for modulus, log in moduli
     )
     low, high = region.shear_modulus.ci95
     holds = held(estimate, constants(body.shape))

@@ -45,10 +45,10 @@ def told(body: Measured, errors: ErrorPriors, noise: float, seed: int, unsure: f
     return replace(plain, supports=(support,))
 
 
-def timed(one: Session, folder: Path) -> tuple[Estimate, float]:
+def timed(given: Session, folder: Path) -> tuple[Estimate, float]:
     """The fit of a session and the processor's time that it took [s]."""
     start = time.process_time()
-    estimate = fit_session(one, cache=folder / "integrals").estimate
+    estimate = fit_session(given, cache=folder / "integrals").estimate
     return estimate, time.process_time() - start
 
 
@@ -60,8 +60,8 @@ def main() -> None:
         body = measured_body(name, folder, STIFFNESS)
         clean = told(body, EXACT, 0.0, 0, 0.0)
         rigid = replace(clean, supports=(Support(clean.held_triangles),))
-        for kind, one in (("clean", clean), ("clean, taken as rigid", rigid)):
-            print(f"{name}: {kind} {errors_of(timed(one, folder)[0], body.truth)}", flush=True)
+        for kind, given in (("clean", clean), ("clean, taken as rigid", rigid)):
+            print(f"{name}: {kind} {errors_of(timed(given, folder)[0], body.truth)}", flush=True)
         for seed in range(count):
             for known, unsure in zip(every, (0.0, UNSURE), strict=True):
                 noisy = told(body, ErrorPriors(), NOISE, seed, unsure)

@@ -153,8 +153,8 @@ def draws(
             white[k] = correlation * white[k - 1] + np.sqrt(1 - correlation**2) * white[k]
         measured = (moved + noise * white)[instant]
         std = np.full(len(instant), noise)
-        one = Motion(times, force, instant, measured, std, last)
-        fitted = fit_creep([one], shortest=RISE, longest=HOLD / 3.0)
+        motion = Motion(times, force, instant, measured, std, last)
+        fitted = fit_creep([motion], shortest=RISE, longest=HOLD / 3.0)
         value, width = fitted.logarithm(_quantities)
         found["terms"][fitted.terms] += 1
         found["error"].append(value - true)
@@ -197,8 +197,8 @@ def ball(
         design = np.stack(columns, axis=1) * root[:, None]
         amplitude = np.linalg.lstsq(design, (shapes * root).T)[0][0]
     instant, last = np.arange(1, len(times)), len(times) - 1
-    one = Motion(times, force, instant, amplitude[1:], np.full(last, 1e-3), last)
-    fitted = fit_creep([one], shortest=RISE, longest=HOLD / 3.0)
+    motion = Motion(times, force, instant, amplitude[1:], np.full(last, 1e-3), last)
+    fitted = fit_creep([motion], shortest=RISE, longest=HOLD / 3.0)
     true = TWO.relaxation().at(AT) * moved[-1]
     return np.log(fitted.compliance.relaxation().at(AT) / true)
 
@@ -242,7 +242,7 @@ def ball_on_cube() -> np.ndarray:
         (folder / "n01_series.csv").write_text("\n".join([*rows, ""]))
         (folder / "session.toml").write_text(text + _SERIES)
         found = fit_session(read_session(folder)).estimate.relaxation
-    at = [each.modulus.value for each in found.curve if min(abs(np.log(each.time / AT))) < 1e-6]
+    at = [point.modulus.value for point in found.curve if min(abs(np.log(point.time / AT))) < 1e-6]
     return np.log(np.array(at) / (SHEAR * TWO.relaxation().at(AT)))
 
 
@@ -289,11 +289,11 @@ def sessions(count: int) -> tuple[np.ndarray, np.ndarray, Counter]:
                 gain=gain,
             )  # fmt: skip
             found = fit_session(read_session(path)).estimate.relaxation
-        at = [each.modulus for each in found.curve if min(abs(np.log(each.time / AT))) < 1e-6]
-        errors.append([np.log(each.value) - x for each, x in zip(at, true, strict=True)])
+        at = [point.modulus for point in found.curve if min(abs(np.log(point.time / AT))) < 1e-6]
+        errors.append([np.log(modulus.value) - x for modulus, x in zip(at, true, strict=True)])
         hold.append([
-            np.log(each.ci95[0]) <= x <= np.log(each.ci95[1])
-            for each, x in zip(at, true, strict=True)
+            np.log(modulus.ci95[0]) <= x <= np.log(modulus.ci95[1])
+            for modulus, x in zip(at, true, strict=True)
         ])  # fmt: skip
         terms[len(found.terms)] += 1
     return np.array(errors), np.array(hold), terms

@@ -76,12 +76,12 @@ def pressed(name: str, mesh: str, depth: int) -> Session:
     points = surface.vertices[free]
     probings = []
     for number, point in enumerate(body.point):
-        place = STORED / f"{name}-{number}-{mesh}.npz"
-        if not place.exists():
+        file = STORED / f"{name}-{number}-{mesh}.npz"
+        if not file.exists():
             continue
-        with np.load(place) as stored:
+        with np.load(file) as stored:
             if not np.allclose(stored["position"], surface.vertices, rtol=0.0, atol=1e-9):
-                raise SystemExit(f"{place} belongs to another mesh: make it again")
+                raise SystemExit(f"{file} belongs to another mesh: make it again")
             moved, force = stored["displacement"][depth][free], stored["force"][depth]
         field = DisplacementField(points, moved, None, None, closest_points(surface, points), "")
         contact = Contact.under(Sphere(BALL), point, float(np.ptp(surface.vertices)))

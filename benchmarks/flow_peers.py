@@ -52,9 +52,9 @@ def _tension(*, make: bool) -> Figure:
         return Figure(FLOW, f"{name} DICe, worst", None, "um", note=found)
     pixel, point, moved = found
     lateral = []
-    for frame, one in enumerate(moved, start=1):
-        ok = np.isfinite(one).all(axis=1) & np.isfinite(point).all(axis=1)
-        apart = beside_dice(pixel[ok], point[ok], one[ok], frame=frame)
+    for frame, displacement in enumerate(moved, start=1):
+        ok = np.isfinite(displacement).all(axis=1) & np.isfinite(point).all(axis=1)
+        apart = beside_dice(pixel[ok], point[ok], displacement[ok], frame=frame)
         lateral.append(float(np.median(np.hypot(apart[:, 0], apart[:, 1]))))
     listed = ", ".join(f"{value:.2f}" for value in lateral)
     return Figure(
@@ -69,7 +69,7 @@ def _tension(*, make: bool) -> Figure:
 def _compared(
     engines: tuple[_Engine, ...], subset: int, *, speed: bool, make: bool
 ) -> list[Figure]:
-    found = speckle_rows(TOOL, [one.key for one in engines], subset=subset, make=make)
+    found = speckle_rows(TOOL, [peer.key for peer in engines], subset=subset, make=make)
     figures = []
     for engine in engines:
         figures += _figures(engine, subset, found, speed=speed)
@@ -85,10 +85,10 @@ def _figures(engine: _Engine, subset: int, found: dict | str, *, speed: bool) ->
     if stopped := [row["error"] for row in rows if "error" in row]:
         return [Figure(FLOW, error_name, None, "px", note=stopped[0])]
     rms = [row["rmse_px_inlier_per_component"] for row in rows]
-    each = ", ".join(f"{row['case']} {value:.4f}" for row, value in zip(rows, rms, strict=True))
+    listed = ", ".join(f"{row['case']} {value:.4f}" for row, value in zip(rows, rms, strict=True))
     beyond = max(row["outlier_pct"] for row in rows)
     note = (
-        f"version {found['versions'][engine.program]}; {each}; over the points that err by less"
+        f"version {found['versions'][engine.program]}; {listed}; over the points that err by less"
         f" than 0.5 px, {beyond:.2g} % err by more in the worst case;"
         f" {min(row['coverage_pct'] for row in rows):.3g} % of the grid covered"
     )

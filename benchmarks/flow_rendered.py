@@ -168,11 +168,11 @@ def _constants(session: Session, found: SessionFlow) -> list[Figure]:
 def _sigmas(joint: list[Rigid], ball: list[np.ndarray]) -> Figure:
     sets = {rigid.name: np.concatenate(rigid.square) for rigid in joint}
     sets["halfball_images"] = np.concatenate(ball)
-    each = ", ".join(f"{name} {np.sqrt(value.mean()):.2f}" for name, value in sets.items())
+    listed = ", ".join(f"{name} {np.sqrt(value.mean()):.2f}" for name, value in sets.items())
     pooled = float(np.sqrt(np.concatenate(list(sets.values())).mean()))
     return Figure(
         FLOW, "actual over claimed sigma per vertex, all rendered sets", pooled, "x",
-        note=f"rms of the error in claimed sigmas; {each}",
+        note=f"rms of the error in claimed sigmas; {listed}",
     )  # fmt: skip
 
 
@@ -198,7 +198,7 @@ def _cameras() -> Figure:
         sigma[chosen] = np.stack(
             [np.trace(motion.covariance, axis1=1, axis2=2) for motion in found]
         )
-    common = np.all([np.isfinite(each).all(axis=2) for each in error.values()], axis=0)
+    common = np.all([np.isfinite(errors).all(axis=2) for errors in error.values()], axis=0)
     rms = {c: float(np.sqrt((e[common] ** 2).sum(axis=1).mean())) for c, e in error.items()}
     claim = {c: float(np.sqrt(s[common].mean())) for c, s in sigma.items()}
     pair = min(((0, 1), (0, 2)), key=rms.__getitem__)

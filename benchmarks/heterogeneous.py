@@ -244,7 +244,7 @@ def session(name: str, kind: str, folder: Path, seed: int, wrong: int | None = N
             here = here[np.linalg.norm(mesh.vertices[here] - point, axis=1) > 1.3 * RADIUS]
         field = size * moved[here] + fitted * np.array(NOISE) * rng.normal(size=(len(here), 3))
         points = mesh.vertices[here]
-        told = closest_points(mesh, points)
+        surface = closest_points(mesh, points)
         std = np.tile(NOISE, (len(here), 1))
         off = FORCE * rng.normal() if fitted and wrong is None else 0.0
         measured = size * force * (1.0 + off)
@@ -252,7 +252,7 @@ def session(name: str, kind: str, folder: Path, seed: int, wrong: int | None = N
             Probing(
                 f"n{k + 1:02d}", Contact(point, RADIUS, "smooth"), measured,
                 np.full(3, FORCE * size / np.sqrt(3)), None, None,
-                DisplacementField(points, field, std, None, told, "truth"), None,
+                DisplacementField(points, field, std, None, surface, "truth"), None,
             )
         )  # fmt: skip
     whole = Session(
@@ -273,7 +273,7 @@ def told_wrong(exact: Session, seed: int) -> Session:
         inward = -unit_normals(mesh)[closest_points(mesh, contact.point[None]).triangle[0]]
         beside = priors.contact_point * rng.normal(size=3)
         beside -= beside @ inward * inward
-        place = closest_points(mesh, (contact.point + beside)[None]).position[0]
+        point = closest_points(mesh, (contact.point + beside)[None]).position[0]
         radius = RADIUS * (1.0 + priors.contact_radius * float(np.clip(rng.normal(), -2.5, 2.5)))
         points = (field.points - centre) @ turn.as_matrix().T + centre + shift
         seen = closest_points(mesh, points)
@@ -282,7 +282,7 @@ def told_wrong(exact: Session, seed: int) -> Session:
             displacement=scale * (field.displacement @ turn.as_matrix().T),
         )  # fmt: skip
         force = gain * (gauge.as_matrix() @ probing.force) + probing.force_std * rng.normal(size=3)
-        wrong = replace(contact, point=place, radius=radius)
+        wrong = replace(contact, point=point, radius=radius)
         probings.append(replace(probing, contact=wrong, force=force, displacement=moved))
     return replace(exact, probings=tuple(probings))
 
@@ -291,15 +291,15 @@ def errors(session: Session, predictions: tuple[Prediction, ...]) -> np.ndarray:
     """Relative error away from the tool and under it, and the share within 95 %, of each push."""
     rows = []
     of = {probing.name: probing for probing in session.probings}
-    for each in predictions:
-        contact = of[each.name].contact
-        distance = np.linalg.norm(each.position - contact.point, axis=1)
-        off = each.predicted - each.measured
+    for prediction in predictions:
+        contact = of[prediction.name].contact
+        distance = np.linalg.norm(prediction.position - contact.point, axis=1)
+        off = prediction.predicted - prediction.measured
         row = []
         for chosen in (distance > 1.3 * RADIUS, distance <= RADIUS):
-            size = np.square(each.measured[chosen]).sum()
+            size = np.square(prediction.measured[chosen]).sum()
             row.append(np.sqrt(np.square(off[chosen]).sum() / size) if size else np.nan)
-        rows.append([*row, float((np.abs(off) < 1.96 * each.std).mean())])
+        rows.append([*row, float((np.abs(off) < 1.96 * prediction.std).mean())])
     return np.array(rows)
 
 

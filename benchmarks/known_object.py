@@ -107,11 +107,11 @@ def wrong_rig(truth: Rig, kind: Wrong, seed: int) -> tuple[Rig, RigCovariance | 
 
 def kind_figures(folder: Path, kind: Wrong, draws: int) -> list[Figure]:
     """What refining makes of rigs that are wrong in one way."""
-    place = turntable(folder, "toy")
-    truth = read_rig(place / "rig.toml")
+    root = turntable(folder, "toy")
+    truth = read_rig(root / "rig.toml")
     mesh = SHAPES["toy"].make(radius=RADIUS["toy"], edge=_EDGE)
     points, centre = seen_by_all(truth, mesh), mesh.vertices.mean(axis=0)
-    instants = [str(place / f"images/s{k}_{{camera}}.png") for k in range(_VIEWS)]
+    instants = [str(root / f"images/s{k}_{{camera}}.png") for k in range(_VIEWS)]
     rows, worse, taken, seconds = [], 0, 0, 0.0
     for seed in range(draws if kind.turn else 1):
         rig, known = wrong_rig(truth, kind, seed)
@@ -139,7 +139,7 @@ def measure(options: Options) -> list[Figure]:
     """Rigs that are wrong in all ways."""
     kinds = KINDS[:1] if options.quick else KINDS
     draws = 1 if options.quick else _DRAWS
-    return [one for kind in kinds for one in kind_figures(MADE / "turntables", kind, draws)]
+    return [figure for kind in kinds for figure in kind_figures(MADE / "turntables", kind, draws)]
 
 
 def main() -> None:

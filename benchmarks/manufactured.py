@@ -175,8 +175,8 @@ def solved(
     system = boundary_system(surface, quadrature=quadrature)
     known = field.displacement(surface.mesh.vertices)
     free = np.flatnonzero(~surface.held)
-    place = surface.element_nodes[free].reshape(-1, 3)
-    given = field.traction(place, normals(np.repeat(free, 6), place)).reshape(-1, 6, 3)
+    position = surface.element_nodes[free].reshape(-1, 3)
+    given = field.traction(position, normals(np.repeat(free, 6), position)).reshape(-1, 6, 3)
     right = traction_column(system, free, given / field.shear_modulus, quadrature=quadrature)
     right = right + support_columns(system, known[:, :, None])
     nu = field.poisson_ratio

@@ -144,21 +144,21 @@ def _draw_groups(axes: Axes, found: Sequence[_Held]) -> None:
     """A dot and its bar in every row, rows of a group below its name."""
     groups = dict.fromkeys(held.group for held in found)
     ticks: dict[float, str] = {}
-    place = 0.0
+    height = 0.0
     for group in groups:
-        place += _GAP
-        ticks[place] = group
+        height += _GAP
+        ticks[height] = group
         for held in found:
             if held.group == group:
-                place += 1.0
-                ticks[place] = held.label
-                axes.errorbar(held.share, place, xerr=held.chance, fmt="o", color=BLUE,
+                height += 1.0
+                ticks[height] = held.label
+                axes.errorbar(held.share, height, xerr=held.chance, fmt="o", color=BLUE,
                               markersize=5, elinewidth=1.0)  # fmt: skip
     axes.set_yticks(list(ticks), [fill(label, _WIDTH) for label in ticks.values()])
     for label, text in zip(ticks.values(), axes.get_yticklabels(), strict=True):
         if label in groups:
             text.set_fontweight("bold")
-    axes.set_ylim(place + 0.6, _GAP - 0.6)
+    axes.set_ylim(height + 0.6, _GAP - 0.6)
 
 
 def _held(row: Row) -> _Held | None:

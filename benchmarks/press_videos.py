@@ -98,10 +98,10 @@ def make_recording(
     )  # fmt: skip
     truths = [
         Truth(
-            one.force[-1], np.array(one.point), one.radius, begin,
+            press.force[-1], np.array(press.point), press.radius, begin,
             begin + FILM.ramp + FILM.hold / 2.0, begin - FILM.approach - 0.5,
         )
-        for one, begin in zip(presses, FILM.start_times, strict=True)
+        for press, begin in zip(presses, FILM.start_times, strict=True)
     ]  # fmt: skip
     write_text(folder / "recording.toml", tomlkit.dumps(_recording(config, rig, truths)))
     np.savez(

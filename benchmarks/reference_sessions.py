@@ -63,7 +63,8 @@ def _under_a_ball() -> Session:
     given = _half_ball()
     ball = Sphere(0.02)
     touched = [
-        replace(one, contact=Contact.under(ball, one.contact.point)) for one in given.probings
+        replace(probing, contact=Contact.under(ball, probing.contact.point))
+        for probing in given.probings
     ]
     return replace(given, probings=tuple(touched))
 
@@ -132,8 +133,16 @@ def write(found: list[Frozen]) -> None:
     with FROZEN.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(["session", "constant", "status", "value", "std"])
-        for one in found:
-            rows.writerow([one.session, one.name, one.status, f"{one.value:.9g}", f"{one.std:.4g}"])
+        for frozen in found:
+            rows.writerow(
+                [
+                    frozen.session,
+                    frozen.name,
+                    frozen.status,
+                    f"{frozen.value:.9g}",
+                    f"{frozen.std:.4g}",
+                ]
+            )
 
 
 def read() -> dict[tuple[str, str], Frozen]:
@@ -150,7 +159,7 @@ def read() -> dict[tuple[str, str], Frozen]:
             )
             for row in rows
         ]
-    return {(one.session, one.name): one for one in every}
+    return {(frozen.session, frozen.name): frozen for frozen in every}
 
 
 def main() -> None:
@@ -159,14 +168,17 @@ def main() -> None:
     before, found = {} if freeze else read(), list[Frozen]()
     for name, (make, finite) in SESSIONS.items():
         estimate = fit_session(make(), finite_strain=finite).estimate
-        for one in constants(name, estimate):
-            found.append(one)
-            line = f"{name:34s} {one.name:14s} {one.status:18s} {one.value:.7g} +- {one.std:.3g}"
+        for constant in constants(name, estimate):
+            found.append(constant)
+            line = (
+                f"{name:34s} {constant.name:14s} {constant.status:18s}"
+                f" {constant.value:.7g} +- {constant.std:.3g}"
+            )
             if not freeze:
-                was = before[name, one.name]
-                off = (one.value - was.value) / was.std
-                mark = "" if abs(off) <= LARGEST and one.status == was.status else "  <-"
-                line += f"  {off:+.3f} std, width {100 * (one.std / was.std - 1):+.1f} %{mark}"
+                was = before[name, constant.name]
+                off = (constant.value - was.value) / was.std
+                mark = "" if abs(off) <= LARGEST and constant.status == was.status else "  <-"
+                line += f"  {off:+.3f} std, width {100 * (constant.std / was.std - 1):+.1f} %{mark}"
             print(line, flush=True)
     if freeze:
         write(found)

@@ -60,7 +60,7 @@ def write_page(path: Path, page: Path) -> None:
                 "| what | figure | beside it |",
                 "| --- | ---: | --- |",
             ]
-            lines += [f"| {' | '.join(each)} |" for each in cells]
+            lines += [f"| {' | '.join(row)} |" for row in cells]
     lines += [
         "",
         "## Plots",

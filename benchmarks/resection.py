@@ -111,8 +111,8 @@ def _checked(
 def _changed(start: Camera, change: np.ndarray, terms: Sequence[int]) -> Camera:
     """The camera after a small change of its unknowns."""
     matrix, distortion = start.matrix.copy(), start.distortion.copy()
-    for value, place in zip(change, ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1)), strict=False):
-        matrix[place] += value
+    for value, entry in zip(change, ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1)), strict=False):
+        matrix[entry] += value
     distortion[list(terms)] += change[_INNER + _OUTER :]
     pose = start.T_camera_object.copy()
     pose[:3, :3] = cv2.Rodrigues(change[_INNER : _INNER + 3])[0] @ pose[:3, :3]

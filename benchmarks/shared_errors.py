@@ -64,9 +64,9 @@ class Laboratory:
     def __init__(self, body: Measured, folder: Path) -> None:
         self.body, self.cache = body, folder / "integrals"
 
-    def session(self, drawn: ErrorPriors, told: ErrorPriors, seed: int) -> Session:
+    def session(self, drawn: ErrorPriors, stated: ErrorPriors, seed: int) -> Session:
         """A session whose errors are drawn from one prior and told as another."""
-        return replace(session(self.body, drawn, NOISE, seed), errors=told)
+        return replace(session(self.body, drawn, NOISE, seed), errors=stated)
 
     def fit(self, session: Session) -> Estimate:
         """Constants."""
@@ -84,7 +84,7 @@ def widths(laboratory: Laboratory, seed: int) -> list[tuple[float, bool]]:
         laboratory.fit(measured_by(session, sensors, seed)) for sensors in BENCHES.values()
     ]
     truth = laboratory.body.truth
-    return [(_width(each) / known, bool(held(each, truth)[2])) for each in estimates]
+    return [(_width(estimate) / known, bool(held(estimate, truth)[2])) for estimate in estimates]
 
 
 def _width(estimate: Estimate) -> float:
@@ -102,8 +102,8 @@ def measured_by(session: Session, sensors: Sequence[Sensor], seed: int) -> Sessi
         force = gains[sensor] * probing.force + std * rng.normal(size=3)
         stds = np.full(3, std)
         probings.append(replace(probing, force=force, force_std=stds, force_sensor=sensor.name))
-    told = {sensor.name: sensor.gain for sensor in sensors}
-    errors = replace(session.errors, force_gains=told)
+    claimed_gains = {sensor.name: sensor.gain for sensor in sensors}
+    errors = replace(session.errors, force_gains=claimed_gains)
     return replace(session, probings=tuple(probings), errors=errors)
 
 
@@ -121,7 +121,10 @@ def misplaced(session: Session, laboratory: Laboratory) -> Session:
 def too_strong(session: Session) -> Session:
     """The session with every force read too large."""
     return replace(
-        session, probings=tuple(replace(one, force=GAIN * one.force) for one in session.probings)
+        session,
+        probings=tuple(
+            replace(probing, force=GAIN * probing.force) for probing in session.probings
+        ),
     )
 
 
@@ -130,13 +133,15 @@ def scattered(laboratory: Laboratory, seed: int) -> bool:
     rng = np.random.default_rng([seed, 7])
     whole = laboratory.session(EXACT, EXACT, seed)
     two = [whole.probings[k] for k in rng.choice(len(whole.probings), 2, replace=False)]
-    claims = [laboratory.fit(replace(whole, probings=(one,))) for one in two]
+    claims = [laboratory.fit(replace(whole, probings=(probing,))) for probing in two]
     # Claims add to what the forces do: three variances more make the spread twice as wide.
     off = [
         1.0 + np.sqrt(3.0) * claim.young_modulus.std / claim.young_modulus.value * rng.normal()
         for claim in claims
     ]
-    pair = tuple(replace(one, force=k * one.force) for one, k in zip(two, off, strict=True))
+    pair = tuple(
+        replace(probing, force=k * probing.force) for probing, k in zip(two, off, strict=True)
+    )
     estimate = laboratory.fit(replace(whole, probings=pair))
     return bool(held(estimate, laboratory.body.truth)[2])
 
@@ -150,18 +155,18 @@ def main() -> None:
         body = measured_body(name, folder)
         laboratory = Laboratory(body, folder)
         found += _width_lines(laboratory, count)
-        told = ErrorPriors()
-        clean = laboratory.session(EXACT, told, 0)
+        priors = ErrorPriors()
+        clean = laboratory.session(EXACT, priors, 0)
         beside = misplaced(clean, laboratory)
-        alone = replace(EXACT, contact_point=told.contact_point)
+        alone = replace(EXACT, contact_point=priors.contact_point)
         rows = {
             "contact alone, 0.5 mm": replace(beside, errors=alone),
             "contact, told 0.5 mm": beside,
             "contact, told exact": replace(beside, errors=EXACT),
             "force 2 %, told 1 %": too_strong(clean),
         }
-        for what, one in rows.items():
-            estimate = laboratory.fit(one)
+        for what, session_of_row in rows.items():
+            estimate = laboratory.fit(session_of_row)
             holds = held(estimate, body.truth)
             print(f"{name:10s} {what:22s}{errors_of(estimate, body.truth)}   holds {holds}")
         holding += [scattered(laboratory, seed) for seed in range(count)]

@@ -75,7 +75,7 @@ def evaluated(folders: Sequence[Path], material: Material, campaign: Path) -> li
     found = fitted([*given, *map(misjudged_session, folders)], campaign)
     estimates, misjudged = found[: len(folders)], found[len(folders) :]
     together, wrong = _repeats(estimates, material), _repeats(misjudged, material)
-    alone = _repeats([probe for each in estimates for probe in each.probes], material)
+    alone = _repeats([probe for estimate in estimates for probe in estimate.probes], material)
     count, singles = len(estimates), len(alone.error)
     note = f"{count} seeds: texture, misalignment, readings and noise anew"
     return [
