@@ -77,8 +77,9 @@ def main() -> None:
         young_modulus, poisson_ratio = estimate.young_modulus, estimate.poisson_ratio
         print(
             f"{config.name:32s} E {100 * (young_modulus.value / young - 1):+6.2f} % (+-"
-            f" {100 * young_modulus.std / young:5.2f})   nu {ratio:.3f} {poisson_ratio.value - ratio:+.4f}"
-            f" (+- {poisson_ratio.std:.4f})   {estimate.status}   {holding[-1]}",
+            f" {100 * young_modulus.std / young:5.2f})   nu {ratio:.3f}"
+            f" {poisson_ratio.value - ratio:+.4f} (+- {poisson_ratio.std:.4f})   {estimate.status}"
+            f"   {holding[-1]}",
             flush=True,
         )
     counts = ", ".join(f"{n} {k}" for n, k in zip(NAMES, np.sum(holding, axis=0), strict=True))

@@ -195,7 +195,8 @@ def press_figures(found: Sequence[Found]) -> list[Figure]:
                f" {first:.0f} MB and {np.mean([outcome.seconds for outcome in found]):.0f} s a"
                " minute of three videos"),
         Figure(DOOR, f"{name}: clock of the worst camera",
-               1e3 * max(outcome.clock for outcome in found), "ms", note="the gauge's clock is 0.4 s ahead"),
+               1e3 * max(outcome.clock for outcome in found), "ms",
+               note="the gauge's clock is 0.4 s ahead"),
         Figure(DOOR, f"{name}: the worst force", 100 * max(outcome.force for outcome in found), "%",
                note="claimed"
                f" {100 * np.sqrt(np.mean([outcome.claimed**2 for outcome in found])):.3f} %"),
