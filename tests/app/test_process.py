@@ -210,9 +210,9 @@ def test_the_places_are_those_of_the_library(tmp_path, monkeypatch):
     user = tmp_path if sys.platform == "linux" else None
     from numba.misc.appdirs import AppDirs  # noqa: PLC0415
 
-    place = Path(AppDirs(appname="numba", appauthor=False).user_cache_dir)
-    assert user is None or place.parent == user
-    assert place.parent in process._cache_places()
+    library_cache = Path(AppDirs(appname="numba", appauthor=False).user_cache_dir)
+    assert user is None or library_cache.parent == user
+    assert library_cache.parent in process._cache_places()
 
 
 @pytest.mark.parametrize(

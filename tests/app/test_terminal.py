@@ -17,10 +17,10 @@ POKE = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("place", ["before", "behind"])
-def test_tables_and_sentences_become_one_document(palpate, cube_session, place):
+@pytest.mark.parametrize("position", ["before", "behind"])
+def test_tables_and_sentences_become_one_document(palpate, cube_session, position):
     words = ("check", cube_session)
-    code, out, _ = palpate(*(("--json", *words) if place == "before" else (*words, "--json")))
+    code, out, _ = palpate(*(("--json", *words) if position == "before" else (*words, "--json")))
     found = json.loads(out)
     assert (code, found["format"]) == (0, "palpate-output/1")
     surface, probings = found["tables"]

@@ -106,11 +106,13 @@ def test_no_more_is_kept_than_each_column_needs(problem):
     tolerance = np.full(problem[1].terms.shape[2], DENSE_RESIDUAL)
     tolerance[::2] = 1e-3
     mixed = make_reduced_model(*problem, tolerance=tolerance)
-    kept = [set(each.tolist()) for each in mixed.columns]
-    assert [one.shape[1] for one in mixed.directions] == [len(each) for each in kept]
-    assert kept[0] == set(range(len(tolerance)))
-    assert all(later <= earlier for earlier, later in pairwise(kept))
-    assert kept[-1] <= set(range(1, len(tolerance), 2))
+    column_sets = [set(columns.tolist()) for columns in mixed.columns]
+    assert [direction.shape[1] for direction in mixed.directions] == [
+        len(columns) for columns in column_sets
+    ]
+    assert column_sets[0] == set(range(len(tolerance)))
+    assert all(later <= earlier for earlier, later in pairwise(column_sets))
+    assert column_sets[-1] <= set(range(1, len(tolerance), 2))
 
 
 def test_each_column_has_the_directions_that_it_needs(problem, model):
@@ -120,7 +122,7 @@ def test_each_column_has_the_directions_that_it_needs(problem, model):
     tolerance[::2] = 1e-3
     mixed = make_reduced_model(system, right, tolerance=tolerance)
     every = np.arange(len(tolerance))
-    used = np.array([np.any(one != 0.0, axis=0) for one in mixed.basis(every)]).sum(axis=0)
+    used = np.array([np.any(vectors != 0.0, axis=0) for vectors in mixed.basis(every)]).sum(axis=0)
     assert used[::2].max() < used[1::2].min()
     for nu in (0.0, 0.2, 0.4999):
         found, _ = solution(mixed, nu)
@@ -168,14 +170,14 @@ def test_at_the_centre_it_is_the_factorised_solution(problem, model):
 
 def test_an_object_that_is_not_held_is_refused():
     """Two balls, only one of them held: the other floats."""
-    one = sphere(1)
-    count = len(one.vertices)
+    ball = sphere(1)
+    count = len(ball.vertices)
     both = TriangleMesh(
-        np.concatenate([one.vertices, one.vertices + np.array([3.0, 0.0, 0.0])]),
-        np.concatenate([one.triangles, one.triangles + count]),
+        np.concatenate([ball.vertices, ball.vertices + np.array([3.0, 0.0, 0.0])]),
+        np.concatenate([ball.triangles, ball.triangles + count]),
     )
     low = both.vertices[both.triangles].mean(axis=1)[:, 2] < -0.3
-    first = np.arange(len(both.triangles)) < len(one.triangles)
+    first = np.arange(len(both.triangles)) < len(ball.triangles)
     load = bump_load(both, np.array([0.0, 0.0, 1.0]), 0.9)
     system = held_part(both, low & first, smooth=False)
     with pytest.raises(SingularSystemError, match="singular"):
@@ -186,21 +188,21 @@ def test_an_object_that_is_not_held_is_refused():
 
 def test_a_reduced_model_is_kept_for_its_loads(problem, tmp_path, monkeypatch):
     system, right = problem
-    kept = replace(system, checkpoints=Checkpoints(tmp_path, "the body"))
-    factors = CentredSystem(kept, CENTRE)
+    cached = replace(system, checkpoints=Checkpoints(tmp_path, "the body"))
+    factors = CentredSystem(cached, CENTRE)
     first = make_reduced_model(factors, right)
     # What the system alone determines serves other loads; factors of one model alone are not kept.
     other = replace(right, terms=2.0 * right.terms)
-    make_reduced_model(kept, other)
+    make_reduced_model(cached, other)
     assert len(list(tmp_path.iterdir())) == 3
     monkeypatch.setattr(module, "solve", None)
-    for read, loads in ((make_reduced_model(CentredSystem(kept, CENTRE), right), 1.0),
-                        (make_reduced_model(kept, other), 2.0)):  # fmt: skip
+    for read, loads in ((make_reduced_model(CentredSystem(cached, CENTRE), right), 1.0),
+                        (make_reduced_model(cached, other), 2.0)):  # fmt: skip
         for nu in RATIOS:
             found, wanted = solution(read, nu)[0], solution(first, nu)[0]
             np.testing.assert_array_equal(found, loads * wanted)
     for changes in ({"tolerance": 1e-5}, {"poisson_range": (0.0, 0.4)}):
         with pytest.raises(TypeError):
-            make_reduced_model(kept, right, **changes)
+            make_reduced_model(cached, right, **changes)
     with pytest.raises(TypeError):
-        make_reduced_model(CentredSystem(kept, CENTRE, single=True), right)
+        make_reduced_model(CentredSystem(cached, CENTRE, single=True), right)

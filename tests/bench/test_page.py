@@ -40,7 +40,9 @@ class Gui(Controls):
 
         def there():
             found[:] = [
-                one for one in self.of_kind("button") if one.label == label and not one.closed
+                button
+                for button in self.of_kind("button")
+                if button.label == label and not button.closed
             ]
             return found
 
@@ -78,7 +80,9 @@ def test_an_answer_is_the_button_that_was_pressed(page, asking):
     page.gui.open_button("mm")
     page.gui.open_button("cm").click()
     assert answer.result() == "cm"
-    assert all(one.closed for one in page.gui.of_kind("button") if one.label in ("mm", "cm"))
+    assert all(
+        button.closed for button in page.gui.of_kind("button") if button.label in ("mm", "cm")
+    )
 
 
 @pytest.mark.parametrize(("typed", "answer"), [(None, "6"), (" 46 g ", "46 g"), ("", "6")])

@@ -11,9 +11,9 @@ MACHINE = {"date": "2026-12-01", "commit": "0123abcd", "processor": "a processor
 
 
 def test_headlines_are_twenty_rows_that_there_are():
-    headlines = [each for rows in HEADLINES.values() for each in rows]
-    names = [each.what for each in headlines]
-    names += [a[1] for each in headlines for a in each.beside if not isinstance(a, str)]
+    headlines = [headline for rows in HEADLINES.values() for headline in rows]
+    names = [headline.what for headline in headlines]
+    names += [a[1] for headline in headlines for a in headline.beside if not isinstance(a, str)]
     assert len(headlines) <= 20
     assert set(names) - {row["what"] for row in read_rows(FIGURES)} == set()
 
@@ -58,6 +58,6 @@ def test_plots_of_the_same_figures_are_the_same_bytes(tmp_path):
     for name in ("one", "other"):
         draw_plots(FIGURES, tmp_path / name)
     for plot in ("correlation.svg", "coverage.svg"):
-        one, other = ((tmp_path / name / plot).read_bytes() for name in ("one", "other"))
-        assert one == other
+        first, other = ((tmp_path / name / plot).read_bytes() for name in ("one", "other"))
+        assert first == other
         assert (ROOT / "benchmarks" / "plots" / plot).exists()

@@ -76,8 +76,8 @@ def test_real_object_shows_the_lens_that_its_transformation_lacks(shared_data):
         assert (left < [3e-6, 4e-6, 13e-6]).all()
 
 
-def _rigid_residual(one, other):
-    a, b = one - one.mean(axis=0), other - other.mean(axis=0)
+def _rigid_residual(points, other):
+    a, b = points - points.mean(axis=0), other - other.mean(axis=0)
     u, _, v = np.linalg.svd(a.T @ b)
     turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
     return (b - a @ turn).std(axis=0)

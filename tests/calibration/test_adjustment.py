@@ -31,8 +31,8 @@ def test_pixels_are_those_of_the_camera_model() -> None:
         "c", SIZE, camera_matrix(truth.intrinsics[1, :4]), truth.intrinsics[1, 4:], truth.camera[1]
     )
     points = rng.uniform(-0.05, 0.05, (50, 3)) + np.array([0.0, 0.0, 0.3])
-    place = points @ truth.camera[1, :3, :3].T + truth.camera[1, :3, 3]
-    pixel, _, _ = seen_points(truth.intrinsics[1], place)
+    position = points @ truth.camera[1, :3, :3].T + truth.camera[1, :3, 3]
+    pixel, _, _ = seen_points(truth.intrinsics[1], position)
     np.testing.assert_allclose(pixel, project(camera, points), atol=1e-9)
 
 

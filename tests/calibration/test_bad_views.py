@@ -132,13 +132,13 @@ def _shifted(found: Sightings, truth: Bundle, shift: np.ndarray) -> np.ndarray:
     whole = truth.camera[corners.camera] @ truth.view[corners.view]
     moved = np.empty((len(corners.camera), 2))
     for c, intrinsics in enumerate(truth.intrinsics):
-        own = corners.camera == c
-        turn, place = whole[own, :3, :3], whole[own, :3, 3]
+        of_camera = corners.camera == c
+        turn, shifts = whole[of_camera, :3, :3], whole[of_camera, :3, 3]
         ends = [
-            seen_points(intrinsics, np.einsum("nij,nj->ni", turn, mark[own]) + place)[0]
+            seen_points(intrinsics, np.einsum("nij,nj->ni", turn, mark[of_camera]) + shifts)[0]
             for mark in (corners.point, corners.point + shift)
         ]
-        moved[own] = ends[1] - ends[0]
+        moved[of_camera] = ends[1] - ends[0]
     return moved
 
 

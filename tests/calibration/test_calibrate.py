@@ -217,14 +217,14 @@ def test_corners_at_the_rim_need_one_marker() -> None:
     rng = np.random.default_rng(5)
     picture = draw_board(board.drawing(60), extent, intrinsics, pose, _SIZE, rng=rng)
     found = board.find(picture)
-    place = intrinsics[:2] * (board.points + pose[:3, 3])[:, :2] / pose[2, 3] + intrinsics[2:4]
+    pixel = intrinsics[:2] * (board.points + pose[:3, 3])[:, :2] / pose[2, 3] + intrinsics[2:4]
     # A corner needs a few pixels around it, and a whole marker of 45 on one side.
-    visible = ((place > 8.0) & (place < np.array(_SIZE) - 9.0)).all(axis=1)
+    visible = ((pixel > 8.0) & (pixel < np.array(_SIZE) - 9.0)).all(axis=1)
     assert visible.sum() == 88
     assert set(found.mark.tolist()) <= set(np.flatnonzero(visible).tolist())
     # The rim cuts both markers of two outermost corners.
     assert len(found.mark) == 86
-    assert np.abs(found.pixel - place[found.mark]).max() < 0.3
+    assert np.abs(found.pixel - pixel[found.mark]).max() < 0.3
 
 
 def _synthetic(
@@ -316,10 +316,10 @@ def test_what_is_missing_is_said() -> None:
     enough = np.bincount(corners.view, minlength=14) >= 12
     low[low] = enough[corners.view]
     corners = found.corners.chosen(low)
-    kept, number = np.unique(corners.view, return_inverse=True)
+    views, number = np.unique(corners.view, return_inverse=True)
     part = replace(
         found, corners=replace(corners, view=number), mark=found.mark[low],
-        views=tuple(found.views[v] for v in kept), targets=(0,) * len(kept),
+        views=tuple(found.views[v] for v in views), targets=(0,) * len(views),
     )  # fmt: skip
     missing = " ".join(camera_quality(calibrate(part, [board]))[0].missing)
     assert "upper right" in missing
@@ -337,16 +337,18 @@ def test_errors_of_pictures_and_of_regions_are_the_same_errors() -> None:
     pixel[beside] += [6.0, -4.0]
     made = calibrate(replace(found, corners=replace(corners, pixel=pixel)), [board])
     pictures = picture_errors(made)
-    odd = [one for one in pictures if (one.camera, one.view) == ("c1", found.views[3])]
-    assert [one.rejected for one in odd] == [1]
+    odd = [
+        picture for picture in pictures if (picture.camera, picture.view) == ("c1", found.views[3])
+    ]
+    assert [picture.rejected for picture in odd] == [1]
     for quality in camera_quality(made):
-        mine = [one for one in pictures if one.camera == quality.name]
-        assert sum(one.corners for one in mine) == quality.corners
-        by_view = sum((one.corners - one.rejected) * one.rms**2 for one in mine)
+        mine = [picture for picture in pictures if picture.camera == quality.name]
+        assert sum(picture.corners for picture in mine) == quality.corners
+        by_view = sum((picture.corners - picture.rejected) * picture.rms**2 for picture in mine)
         by_region = np.nansum(quality.seen * quality.rms**2)
         assert by_view == pytest.approx(by_region, rel=1e-12)
         # Two coordinates of 0.1 px.
-        assert max(one.rms for one in mine) < 0.2
+        assert max(picture.rms for picture in mine) < 0.2
 
 
 def test_covariance_goes_with_its_names(tmp_path: Path) -> None:

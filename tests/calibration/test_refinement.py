@@ -42,8 +42,8 @@ def _bumpy(across: np.ndarray) -> np.ndarray:
 
 def _ties(rig: Rig, rng: np.random.Generator, *, noise: float, points: int = 160) -> Ties:
     """Points of a bumpy surface 0.36 m away, as the cameras of a rig see them."""
-    place = _bumpy(rng.uniform(-0.02, 0.02, (points, 2)))
-    pixels = np.stack([project(camera, place) for camera in rig.cameras])
+    points_seen = _bumpy(rng.uniform(-0.02, 0.02, (points, 2)))
+    pixels = np.stack([project(camera, points_seen) for camera in rig.cameras])
     pixels += noise * rng.normal(size=pixels.shape)
     return Ties(pixels, np.broadcast_to(0.03**2 * np.eye(2), (*pixels.shape, 2)).copy())
 
@@ -110,11 +110,11 @@ def test_a_rig_that_cannot_be_made_better_is_left() -> None:
         refined_rig(truth, known, _ties(truth, np.random.default_rng(seed), noise=3.0, points=70))
         for seed in range(3)
     ]
-    left = [one for one in worse if not one.better]
+    left = [refined for refined in worse if not refined.better]
     assert left
-    for one in left:
-        assert one.rig is truth
-        assert one.known is known
+    for refined in left:
+        assert refined.rig is truth
+        assert refined.known is known
 
 
 def test_unusable_points_are_counted_where_the_rig_is_left_too() -> None:

@@ -211,7 +211,7 @@ def test_a_cluster_of_ones_own_bounds_threads_and_memory():
         limits = [w["memory_limit"] for w in workers.client.scheduler_info()["workers"].values()]
         blocked = workers.client.run(_blocked_signals)
         folders = {Path(folder) for folder in workers.map(_folder, range(8))}
-        assert all(f"{tempfile.gettempdir()}/palpate-workers-" in str(each) for each in folders)
+        assert all(f"{tempfile.gettempdir()}/palpate-workers-" in str(folder) for folder in folders)
         assert all(stat.S_IMODE(folder.parents[2].stat().st_mode) == 0o700 for folder in folders)
     assert not any(folder.parents[2].exists() for folder in folders)
     assert threads == [("1", "1", 1)] * 4
@@ -225,10 +225,11 @@ def test_a_cluster_of_ones_own_bounds_threads_and_memory():
 def test_workers_of_another_cluster_have_a_folder_each(scheduler):
     with started_engine(scheduler, None) as workers:
         folders = set(workers.map(_folder, range(8)))
-        own = {
-            each["local_directory"] for each in workers.client.scheduler_info()["workers"].values()
+        configured = {
+            worker["local_directory"]
+            for worker in workers.client.scheduler_info()["workers"].values()
         }
-    assert {str(Path(each).parent) for each in folders} <= own
+    assert {str(Path(folder).parent) for folder in folders} <= configured
 
 
 def _folder(_):

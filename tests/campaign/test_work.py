@@ -31,7 +31,7 @@ def fitted(cube, tmp_path_factory):
 def test_the_files_are_the_same_to_the_last_byte(fitted):
     _, plain, others = fitted
     assert "estimate.json" in plain.files
-    assert all(dict(one.files) == dict(plain.files) for one in others)
+    assert all(dict(output.files) == dict(plain.files) for output in others)
 
 
 def test_the_estimate_is_that_of_a_plain_fit(fitted, cube, tmp_path):
@@ -58,8 +58,8 @@ def test_a_body_leaves_what_its_fits_need(fitted, packed_cube, tmp_path):
     body = do_work(Work("body", packed_cube, FitOptions(), {"mesh": "m"}), folder=tmp_path)
     assert body.files == {}
     names = [
-        sorted(path.name for path in (place / "bodies").iterdir())
-        for place in (folder / "two", tmp_path)
+        sorted(path.name for path in (parent / "bodies").iterdir())
+        for parent in (folder / "two", tmp_path)
     ]
     assert names[0] == names[1]
     work = Work("fit", packed_cube, FitOptions(), shared_body=True)

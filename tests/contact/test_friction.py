@@ -53,7 +53,7 @@ def test_a_tool_that_is_turned_is_as_far_from_a_point_that_is_turned() -> None:
     both = [
         tool_arrays([placed], [placed])
         for placed in (
-            PlacedTool(ConvexMesh(0.01, each, 0.05), np.zeros(3)) for each in (planes, turned)
+            PlacedTool(ConvexMesh(0.01, faces, 0.05), np.zeros(3)) for faces in (planes, turned)
         )
     ]
     for point in rng.normal(scale=0.02, size=(50, 3)):
@@ -113,9 +113,9 @@ def test_a_round_tool_is_what_its_outline_sweeps(tool: Tool, outline: np.ndarray
     rng = np.random.default_rng(0)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
-    place = rng.normal(size=3)
+    position = rng.normal(size=3)
     points = rng.uniform([-0.015, -0.015, -0.01], [0.015, 0.015, 0.05], size=(400, 3))
-    gap, normal = gaps(PlacedTool(tool, place, turn), place + points @ turn.T)
+    gap, normal = gaps(PlacedTool(tool, position, turn), position + points @ turn.T)
     section = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
     along = np.diff(outline, axis=0)
     across = np.column_stack([along[:, 1], -along[:, 0]])
@@ -124,7 +124,7 @@ def test_a_round_tool_is_what_its_outline_sweeps(tool: Tool, outline: np.ndarray
     # Rounding of the place.
     np.testing.assert_allclose(gap, sides.max(axis=1), atol=1e-14)
     # Along its normal the nearest face goes away as fast as the point goes.
-    farther = gaps(PlacedTool(tool, place, turn), place + points @ turn.T + 1e-9 * normal)[0]
+    farther = gaps(PlacedTool(tool, position, turn), position + points @ turn.T + 1e-9 * normal)[0]
     np.testing.assert_allclose(farther - gap, 1e-9, rtol=1e-3)
 
 

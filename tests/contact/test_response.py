@@ -33,8 +33,8 @@ def uneven_compliance(green, nearness):
 
 def tool(friction):
     """One tool, of which only the friction counts here."""
-    one = [PlacedTool(Sphere(1.0, friction=friction), np.zeros(3))]
-    return tool_arrays(one, one)
+    tools = [PlacedTool(Sphere(1.0, friction=friction), np.zeros(3))]
+    return tool_arrays(tools, tools)
 
 
 def resting_nodes(count):

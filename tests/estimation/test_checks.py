@@ -108,7 +108,7 @@ def test_forces_that_are_all_unlike_contradict_the_model() -> None:
     ]
     minimum, freed = with_outlying_forces_freed(_fitted(probes), RANGE)
     assert len(freed) <= 2
-    assert "measured forces" in {one.source for one in contradictions(minimum)}
+    assert "measured forces" in {contradiction.source for contradiction in contradictions(minimum)}
 
 
 def test_errors_none_of_which_is_impossible_contradict_the_model_together() -> None:
@@ -127,8 +127,8 @@ def test_errors_none_of_which_is_impossible_contradict_the_model_together() -> N
             )
         ]
         found = contradictions(_fitted(probes))
-        assert {one.kind for one in found} == kinds
-        assert all(one.sigmas < 4.0 for one in found)
+        assert {contradiction.kind for contradiction in found} == kinds
+        assert all(contradiction.sigmas < 4.0 for contradiction in found)
 
 
 def _with_mesh(probe: ProbeObservations, share: float) -> ProbeObservations:
@@ -168,7 +168,7 @@ def test_motion_beyond_the_model_s_error_contradicts_it(noise: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "noise", [1e-6, *(pytest.param(one, marks=pytest.mark.slow) for one in (1e-4, 1e-3))]
+    "noise", [1e-6, *(pytest.param(noise, marks=pytest.mark.slow) for noise in (1e-4, 1e-3))]
 )
 def test_noise_does_not_contradict(noise: float) -> None:
     for seed in range(5):
@@ -184,7 +184,7 @@ def test_an_error_that_its_prior_does_not_allow_contradicts() -> None:
         replace(probe, force=factor * probe.force, nuisances=(force_gain(0.01, name),))
         for probe, factor, name in zip(probes, (1.0, 1.2), "ab", strict=True)
     ]
-    sources = {one.source for one in contradictions(_fitted(sensors))}
+    sources = {contradiction.source for contradiction in contradictions(_fitted(sensors))}
     assert "gain of the force sensor" in sources
 
 

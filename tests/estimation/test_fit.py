@@ -29,9 +29,9 @@ def test_exact_data_give_exact_constants(poisson_ratio: float, force_noise: floa
     assert estimate.shear_modulus.value == pytest.approx(2e4, rel=1e-8)
     assert estimate.young_modulus.value == pytest.approx(4e4 * (1 + poisson_ratio), rel=1e-8)
     assert estimate.status is Status.OK
-    for one in estimate.probes:
-        assert one.poisson_ratio.value == pytest.approx(poisson_ratio, abs=1e-8)
-        assert one.prediction_error < 1e-10
+    for probe in estimate.probes:
+        assert probe.poisson_ratio.value == pytest.approx(poisson_ratio, abs=1e-8)
+        assert probe.prediction_error < 1e-10
 
 
 def test_auxetic_on_request() -> None:
@@ -96,7 +96,7 @@ def test_the_order_of_the_probings_does_not_matter(order: list[int]) -> None:
     # The minimisation stops at 1e-7 standard errors.
     assert found.poisson_ratio.value == pytest.approx(plain.poisson_ratio.value, abs=1e-8)
     assert found.shear_modulus.std == pytest.approx(plain.shear_modulus.std, rel=1e-6)
-    assert [one.name for one in found.probes] == [probes[k].name for k in order]
+    assert [probe.name for probe in found.probes] == [probes[k].name for k in order]
 
 
 class _Turned:
@@ -180,7 +180,7 @@ def test_gross_outliers_do_no_harm() -> None:
     assert abs(shift) < plain.poisson_ratio.std
     # Claim and scatter of six probings: a standard error is itself known to 29 %.
     assert robust.poisson_ratio.std < 1.6 * plain.poisson_ratio.std
-    rejected = sum(one.rejected for one in robust.probes)
+    rejected = sum(fitted.rejected for fitted in robust.probes)
     # Nearly all gross errors are beyond the 4.9 sigma of the rejection; clean points almost never.
     assert 0.9 * marked <= rejected <= 1.05 * marked
     least_squares = fit(dirty, settings=FitSettings(noise="gaussian")).estimate
@@ -349,10 +349,10 @@ def test_known_covariances_make_estimates_as_sharp_as_they_claim() -> None:
         std = np.sqrt(np.einsum("naa->na", covariance))
         for known in (True, False):
             given = covariance if known else None
-            one = fit([replace(probe, displacement=field, std=std, covariance=given)]).estimate
-            away[known].append(one.poisson_ratio.value - 0.3)
+            estimate = fit([replace(probe, displacement=field, std=std, covariance=given)]).estimate
+            away[known].append(estimate.poisson_ratio.value - 0.3)
             if known:
-                claims.append(one.poisson_ratio.std)
+                claims.append(estimate.poisson_ratio.std)
     with_it, without = (float(np.sqrt(np.mean(np.square(away[known])))) for known in (True, False))
     # Twenty draws know a standard deviation to 16 %; three of these.
     assert abs(with_it / np.mean(claims) - 1.0) < 0.48

@@ -63,10 +63,10 @@ def test_eliminating_blocks_is_inverting_the_whole(minimum) -> None:
 @pytest.mark.parametrize("noise", [1e-8, 5e-5, 5e-3])
 def test_no_posterior_is_wider_than_its_prior(noise: float) -> None:
     found = fit(_probes(noise=noise)).estimate
-    every = [*found.errors, *(error for one in found.probes for error in one.errors)]
+    every = [*found.errors, *(error for probe in found.probes for error in probe.errors)]
     assert len(every) >= 8
     # Equal where the data say nothing: rounding of an inverse.
-    assert max(one.std / one.prior_std for one in every) < 1.0 + 1e-6
+    assert max(error.std / error.prior_std for error in every) < 1.0 + 1e-6
 
 
 def test_the_budget_is_all_of_the_variance(minimum) -> None:

@@ -27,7 +27,7 @@ def probes():
     rng = np.random.default_rng(5)
     found = half_space_probes(rng, count=3, grid=6, noise=5e-5, force_noise=0.01)
     # An error that all probings share: its prior is part of the objective.
-    return [replace(one, nuisances=(force_gain(0.01),)) for one in found]
+    return [replace(observed, nuisances=(force_gain(0.01),)) for observed in found]
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +63,8 @@ def test_forces_that_are_exact_leave_displacements_inverse_to_the_modulus():
     minimum = minimum_of(problem_of(probes))
     soft, stiff = (at_constants(minimum, 0.3, modulus) for modulus in (1e4, 2e4))
     for index in range(2):
-        one, other = (at.problem.predicted_points(index, at.theta) for at in (soft, stiff))
-        np.testing.assert_allclose(one, 2.0 * other, rtol=1e-12)
+        first, other = (at.problem.predicted_points(index, at.theta) for at in (soft, stiff))
+        np.testing.assert_allclose(first, 2.0 * other, rtol=1e-12)
 
 
 def test_predictions_are_those_of_the_constants(probes) -> None:
@@ -181,9 +181,9 @@ def test_the_size_of_errors_is_that_with_which_they_were_drawn():
             logs = []
             for _ in range(draws):
                 measured = size * rng.normal(size=count) + noise * rng.normal(size=count)
-                told = 1.0 / (1.0 + noise**2)
-                std = np.full(count, np.sqrt(1.0 - told))
-                logs.append(np.log(size_of_errors(told * measured, std) / size))
+                determined = 1.0 / (1.0 + noise**2)
+                std = np.full(count, np.sqrt(1.0 - determined))
+                logs.append(np.log(size_of_errors(determined * measured, std) / size))
             # A standard deviation from 30 of them has a relative error of 1 / sqrt(60), more by
             # what the noise hides of the smaller ones.
             expected = (1.0 + (noise / size) ** 2) / np.sqrt(2.0 * count)
@@ -202,7 +202,7 @@ def test_where_the_data_tell_nothing_errors_are_as_large_as_their_prior_says():
 def test_planned_pushes_predict_as_well_as_a_fit_of_them_does():
     rng = np.random.default_rng(9)
     probes = half_space_probes(rng, count=4, grid=8, noise=5e-5)
-    probes = [replace(each, nuisances=(force_gain(0.01),)) for each in probes]
+    probes = [replace(probe, nuisances=(force_gain(0.01),)) for probe in probes]
     fitted = minimum_of(problem_of(probes[:3]))
     (found,) = predictions_of(fitted, probes[3:])
     information = fisher_information(probes, poisson_ratio=0.3, shear_modulus=2e4)

@@ -49,12 +49,12 @@ def _run(samples: list[tuple[Path, Reader]], found: Path) -> None:
             frames = [
                 f for f in traceback.extract_tb(error.__traceback__) if "palpate" in f.filename
             ]
-            place = f"{path.name} {type(error).__name__} {frames[-1].filename} {frames[-1].lineno}"
-            name = hashlib.sha256(place.encode()).hexdigest()[:12]
+            origin = f"{path.name} {type(error).__name__} {frames[-1].filename} {frames[-1].lineno}"
+            name = hashlib.sha256(origin.encode()).hexdigest()[:12]
             if not (found / name).exists():
                 (found / name).write_bytes(data[1:])
                 (found / f"{name}.txt").write_text(
-                    f"{place}\n{time.perf_counter() - start:.1f} s\n"
+                    f"{origin}\n{time.perf_counter() - start:.1f} s\n"
                     + "".join(traceback.format_exception(error))
                 )
         finally:

@@ -205,8 +205,8 @@ def _as_user() -> None:
     os.setuid(_USER)
     # Version 3 of the header, this process; effective, permitted and inheritable, twice.
     header = struct.pack("Ii", 0x20080522, 0)
-    kept = struct.pack("6I", _READ_SEARCH, _READ_SEARCH, 0, 0, 0, 0)
-    assert library.capset(header, kept) == 0
+    capabilities = struct.pack("6I", _READ_SEARCH, _READ_SEARCH, 0, 0, 0, 0)
+    assert library.capset(header, capabilities) == 0
 
 
 def _outcome(words: tuple[str, ...], work: Path, surrounding: str | None) -> tuple[int, str]:

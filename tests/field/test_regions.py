@@ -182,10 +182,10 @@ def test_beside_its_modulus_the_error_of_a_response_is_of_second_order(true, obs
 def test_no_push_sees_a_speck(observed):
     speck = Region("speck", Box(np.array([0.019, 0.019, 0.0]), np.array([0.021, 0.021, 0.002])))
     homogeneous, rng = [], np.random.default_rng(1)
-    for each in observed:
-        moved = each.response.value(NU)[:, :3] @ each.force / MODULUS
+    for probe in observed:
+        moved = probe.response.value(NU)[:, :3] @ probe.force / MODULUS
         moved += 10.0 * NOISE * rng.normal(size=moved.shape)
-        homogeneous.append(replace(each, displacement=moved.reshape(-1, 3), std=10.0 * each.std))
+        homogeneous.append(replace(probe, displacement=moved.reshape(-1, 3), std=10.0 * probe.std))
     found = fit_regions(session(speck), homogeneous)
     (estimate,) = found.estimates(fit(found.observations).minimum)
     assert not estimate.is_seen

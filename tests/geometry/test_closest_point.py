@@ -100,9 +100,9 @@ def test_points_of_several_sets_are_told_apart_by_place():
     sets = [closest_points(mesh, points[rng.integers(0, 30, count)]) for count in (25, 1, 40)]
     every, numbers = distinct_points(sets)
     assert len(np.unique(every.position, axis=0)) == len(every.position) <= 30
-    for one, number in zip(sets, numbers, strict=True):
+    for single, number in zip(sets, numbers, strict=True):
         for name in ("triangle", "barycentric", "position", "distance"):
-            assert np.array_equal(getattr(every, name)[number], getattr(one, name))
+            assert np.array_equal(getattr(every, name)[number], getattr(single, name))
 
 
 def test_no_points_give_no_answer():

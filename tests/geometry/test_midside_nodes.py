@@ -64,9 +64,9 @@ def test_quadratics_are_exact_on_every_flat_face(continuous, rings):
         value = value[sides.vertex]
     # A function of three coordinates is a quadratic on each face; edges are straight, corners bound
     # their curves.
-    place = middles(mesh, nodes)
-    used = np.isfinite(place[:, 0])
-    np.testing.assert_allclose((nodes.weights @ value)[used], quadratic(place[used]), atol=1e-11)
+    position = middles(mesh, nodes)
+    used = np.isfinite(position[:, 0])
+    np.testing.assert_allclose((nodes.weights @ value)[used], quadratic(position[used]), atol=1e-11)
 
 
 @pytest.mark.parametrize("level", [2, 3, 4])
@@ -75,10 +75,10 @@ def test_the_step_to_two_rings_is_as_large_as_the_error_of_one(level):
     mesh = sphere(level)
     sides = split_sides(mesh, no_region(mesh))
     near, wide = (displacement_nodes(mesh, sides, rings=rings) for rings in (1, 2))
-    place = middles(mesh, near)
-    place /= np.linalg.norm(place, axis=1)[:, None]
+    position = middles(mesh, near)
+    position /= np.linalg.norm(position, axis=1)[:, None]
     first, second = (nodes.weights @ np.sin(2 * mesh.vertices[:, 0]) for nodes in (near, wide))
-    error = np.linalg.norm(first - np.sin(2 * place[:, 0]))
+    error = np.linalg.norm(first - np.sin(2 * position[:, 0]))
     # 0.97, 1.37 and 1.21.
     assert 0.5 < error / np.linalg.norm(second - first) < 2.0
 
@@ -148,8 +148,8 @@ def test_interpolation_is_exact_for_quadratics_between_the_nodes():
     triangle = rng.integers(0, mesh.triangles.shape[0], 50)
     barycentric = rng.dirichlet([1, 1, 1], 50)
     matrix = interpolation_matrix(nodes, triangle, barycentric)
-    place = np.einsum("nk,nki->ni", barycentric, mesh.vertices[mesh.triangles[triangle]])
-    np.testing.assert_allclose(matrix @ quadratic(mesh.vertices), quadratic(place), atol=1e-11)
+    position = np.einsum("nk,nki->ni", barycentric, mesh.vertices[mesh.triangles[triangle]])
+    np.testing.assert_allclose(matrix @ quadratic(mesh.vertices), quadratic(position), atol=1e-11)
     np.testing.assert_allclose(matrix.sum(axis=1), 1, atol=1e-13)
 
 

@@ -146,7 +146,10 @@ def test_precise_points_decide_where_noise_is_given():
     weighted = register(measured, std, mesh, **NEAR)
     precise = register(measured[1::2], None, mesh, **NEAR)
     plain = register(measured, None, mesh, **NEAR)
-    spread = [np.sqrt(np.trace(one.covariance[3:, 3:])) for one in (weighted, precise, plain)]
+    spread = [
+        np.sqrt(np.trace(registration.covariance[3:, 3:]))
+        for registration in (weighted, precise, plain)
+    ]
     assert spread[0] < 1.1 * spread[1]
     assert spread[0] < 0.8 * spread[2]
     full = register(measured, std[:, None, None] ** 2 * np.eye(3), mesh, **NEAR)
@@ -171,12 +174,12 @@ def test_result_does_not_depend_on_the_frame_of_the_points():
     points = points + rng.normal(scale=NOISE, size=points.shape)
     start = _pose((0.02, -0.03, 0.01), (0.004, 0.003, -0.002))
     other = _pose((1.0, 0.5, -2.0), (0.3, -0.2, 0.5))
-    one = register(points, None, mesh, start=start)
-    two = register(_moved(other, points), None, mesh, start=start @ np.linalg.inv(other))
+    first = register(points, None, mesh, start=start)
+    second = register(_moved(other, points), None, mesh, start=start @ np.linalg.inv(other))
     # Both iterations end within a tenth of a standard deviation.
-    gap = _error(two, np.linalg.inv(one.T_mesh_points @ np.linalg.inv(other)))
-    assert gap @ np.linalg.solve(one.covariance, gap) < 0.1**2
-    np.testing.assert_allclose(two.covariance, one.covariance, rtol=0.02, atol=1e-14)
+    gap = _error(second, np.linalg.inv(first.T_mesh_points @ np.linalg.inv(other)))
+    assert gap @ np.linalg.solve(first.covariance, gap) < 0.1**2
+    np.testing.assert_allclose(second.covariance, first.covariance, rtol=0.02, atol=1e-14)
 
 
 def test_free_motions_stay_as_the_start_has_them():

@@ -81,8 +81,8 @@ def test_expected_noise_is_that_across_the_surface_at_the_pose():
     points = np.array([[0.5, 0.5, 1.0], [0.2, 0.7, 1.0], [1.0, 0.4, 0.4], [1.0, 0.6, 0.3]])
     covariance = np.broadcast_to(np.diag([4.0, 0.0, 0.0]) * 1e-8, (4, 3, 3)).copy()
     pose = motion_pose(np.array([0.0, 0.5 * np.pi, 0.0, 0.0, 0.0, 0.0]), np.zeros(3))
-    own = placed(np.linalg.inv(pose), points)
-    at = linearised(surface_search(mesh), MeasuredPoints(own, covariance), pose)
+    in_own_frame = placed(np.linalg.inv(pose), points)
+    at = linearised(surface_search(mesh), MeasuredPoints(in_own_frame, covariance), pose)
     # x of the points points along -z of the mesh.
     np.testing.assert_allclose(at.sigma, [2e-4, 2e-4, 0.0, 0.0], atol=1e-6)
 

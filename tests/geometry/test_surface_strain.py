@@ -30,8 +30,8 @@ def test_a_component_that_nobody_saw_is_no_strain():
 
 
 def test_a_ball_that_swells_is_strained_alike_everywhere():
-    place = RNG.normal(size=(4000, 3))
-    place *= 0.03 / np.linalg.norm(place, axis=1, keepdims=True)
-    found = surface_strain(place, 0.02 * place)
+    points = RNG.normal(size=(4000, 3))
+    points *= 0.03 / np.linalg.norm(points, axis=1, keepdims=True)
+    found = surface_strain(points, 0.02 * points)
     # The best plane through a window leaves no slope of what rises above it.
     assert found == pytest.approx(0.02 + 0.5 * 0.02**2, rel=1e-9)

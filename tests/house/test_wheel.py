@@ -29,13 +29,13 @@ def wheel(tmp_path_factory):
 def test_every_file_of_the_source_is_in_it(wheel):
     _, opened = wheel
     source = ROOT / "src"
-    kept = {
+    expected = {
         path.relative_to(source).as_posix()
         for path in (source / "palpate").rglob("*")
         if path.is_file() and path.suffix not in (".pyc", ".nbi", ".nbc")
     }
     inside = {name for name in opened.namelist() if ".dist-info/" not in name}
-    assert inside == kept
+    assert inside == expected
     # Templates and configurations, which no import would miss.
     assert {Path(name).suffix for name in inside} >= {".py", ".html", ".js", ".css", ".toml"}
     assert "palpate/py.typed" in inside

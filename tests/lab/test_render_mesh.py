@@ -27,8 +27,8 @@ def _camera(direction=(0.0, 0.0, 1.0), size=(160, 120), focal=300.0):
 
 def _edge_lengths(fine, camera):
     """Longest edge of each triangle in a camera's picture [px]."""
-    place = project(camera, fine.vertices)[fine.triangles]
-    return np.linalg.norm(place - np.roll(place, -1, axis=1), axis=2).max(axis=1)
+    pixel = project(camera, fine.vertices)[fine.triangles]
+    return np.linalg.norm(pixel - np.roll(pixel, -1, axis=1), axis=2).max(axis=1)
 
 
 def _facing(fine, camera):
@@ -250,11 +250,11 @@ def test_natural_texture_has_its_mean_contrast_and_band():
 def test_natural_texture_is_correlated_as_waves_of_all_directions(coarsest, finest, octaves):
     """sin(k d) / (k d) at a distance d, averaged over the wavelengths, weighted by their power."""
     distance = np.array([0.001, 0.002, 0.003, 0.005])
-    place = np.random.default_rng(9).uniform(0.0, 0.2, (200, 3))
-    moved = place + distance[:, None, None] * np.array([0.6, 0.0, 0.8])
+    start = np.random.default_rng(9).uniform(0.0, 0.2, (200, 3))
+    moved = start + distance[:, None, None] * np.array([0.6, 0.0, 0.8])
     found = []
     for seed in range(100):
-        points = np.concatenate([place[None], moved]).reshape(-1, 3)
+        points = np.concatenate([start[None], moved]).reshape(-1, 3)
         grey = natural(points, coarsest=coarsest, finest=finest, contrast=0.02, rng=_rng(seed))
         first, *others = (grey - 0.5).reshape(5, -1)
         found.append([(first * other).mean() / (first**2).mean() for other in others])

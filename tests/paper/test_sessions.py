@@ -181,7 +181,10 @@ def test_a_quick_configuration_is_the_same_on_a_coarser_chip(config):
 def test_from_a_configuration_to_the_rows_of_both_methods(config, tmp_path: Path):
     said: list[tuple[str, float]] = []
     found = measured_session(
-        config, tmp_path, variant=choose_variant(), progress=lambda *one: said.append(one)
+        config,
+        tmp_path,
+        variant=choose_variant(),
+        progress=lambda *arguments: said.append(arguments),
     )
     assert set(found.flows) == set(METHODS)
     shares = [share for _, share in said]

@@ -114,7 +114,9 @@ def test_single_probings_spread_as_they_claim(measured):
     estimate, truth = measured
     for name in CONSTANTS.values():
         found = [getattr(probe, name) for probe in estimate.probes]
-        off = np.array([(one.value - getattr(truth, name)) / one.std for one in found])
+        off = np.array(
+            [(constant.value - getattr(truth, name)) / constant.std for constant in found]
+        )
         # The mean square of three standard normal deviates: above 5.4 once in 1000 times.
         assert (off**2).mean() < 5.4
 

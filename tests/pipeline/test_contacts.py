@@ -205,7 +205,9 @@ def test_a_tool_of_another_friction_is_doubted(measured: Session, name: str, sig
     )
     doubts = [note for note in _contact_notes(measured, [probe]) if "friction =" in note]
     assert len(doubts) == (abs(sigmas) > 3.0)
-    assert all('"slides": if the tool is right, try friction = "sticks"' in each for each in doubts)
+    assert all(
+        '"slides": if the tool is right, try friction = "sticks"' in doubt for doubt in doubts
+    )
 
 
 def test_a_buried_ball_is_refused(measured: Session) -> None:
@@ -253,14 +255,14 @@ def _with_tip(measured: Session, slip: np.ndarray, friction: str) -> Session:
     session = replace(measured, probings=(asked,))
     (seen,) = session_observations(session, make_object_model(session))
     moved = (seen.response.value(NU) @ np.append(probing.force, 1.0) / SHEAR).reshape(-1, 3)
-    told = replace(
+    pressed = replace(
         asked,
         contact=replace(contact, point=PLACE - slip),
         # In the middle the surface moves along the normal only.
         tip_displacement=np.array([0.0, 0.0, moved[-1, 2]]) + slip,
         tip_displacement_std=np.full(3, 1e-5),
     )
-    return replace(session, probings=(told,))
+    return replace(session, probings=(pressed,))
 
 
 def test_a_contact_counts_as_changed_by_its_place_too(measured: Session) -> None:
@@ -370,9 +372,9 @@ def test_contacts_without_a_tool_stay() -> None:
     mesh = box((SIDE, SIDE, SIDE), 4)
     session = _block_session(mesh, Sphere(TIP))
     (probing,) = session.probings
-    told = replace(probing, contact=Contact(TOP, 3e-3, "hertz"))
-    session = replace(session, probings=(told,))
+    hertzian = replace(probing, contact=Contact(TOP, 3e-3, "hertz"))
+    session = replace(session, probings=(hertzian,))
     found = displaced_contacts(session, _surface(mesh), [_rigid(mesh)], **CONSTANTS)
-    assert found.probings[0] is told
+    assert found.probings[0] is hertzian
     # The circle of a tool is found anew about the place where it presses.
-    assert with_contact_radii(found, **CONSTANTS).probings[0].contact is told.contact
+    assert with_contact_radii(found, **CONSTANTS).probings[0].contact is hertzian.contact

@@ -52,33 +52,33 @@ def test_the_modulus_over_time_comes_out(result):
     found = result.estimate.relaxation
     assert (found.constant, found.age) == ("shear_modulus", pytest.approx(RISE + 300.0))
     modulus = TWO.relaxation()
-    true = [SHEAR * modulus.at(np.array([each.time]))[0] for each in found.curve]
+    true = [SHEAR * modulus.at(np.array([point.time]))[0] for point in found.curve]
     # The static modulus is off by 0.6 %, from noise of 0.5 % of the largest motion at 121 points.
-    np.testing.assert_allclose([each.modulus.value for each in found.curve], true, rtol=0.02)
-    for each, value in zip(found.curve, true, strict=True):
-        assert each.modulus.ci95[0] < value < each.modulus.ci95[1]
+    np.testing.assert_allclose([point.modulus.value for point in found.curve], true, rtol=0.02)
+    for point, value in zip(found.curve, true, strict=True):
+        assert point.modulus.ci95[0] < value < point.modulus.ci95[1]
     assert found.curve[0].time >= found.rise
     assert found.curve[-1].time <= found.hold
-    assert {1.0, 10.0, 100.0} < {round(each.time, 9) for each in found.curve}
-    times = [each.time.value for each in found.terms]
+    assert {1.0, 10.0, 100.0} < {round(point.time, 9) for point in found.curve}
+    times = [term.time.value for term in found.terms]
     np.testing.assert_allclose(times, modulus.times, rtol=0.05)
     assert found.instantaneous.value == pytest.approx(SHEAR, rel=0.01)
     assert found.long_term.value == pytest.approx(SHEAR * modulus.long_term, rel=0.01)
     assert "Poisson's ratio is constant over the hold of 'n01'" in found.remarks[0]
     # Radians of 0.5 to 300 s.
-    assert [each.frequency for each in found.loss] == pytest.approx([1e-3, 1e-2, 1e-1])
-    for each, angle in zip(
+    assert [point.frequency for point in found.loss] == pytest.approx([1e-3, 1e-2, 1e-1])
+    for point, angle in zip(
         found.loss, modulus.loss_angle(10.0 ** np.arange(-3.0, 0.0)), strict=True
     ):
-        assert each.angle.value == pytest.approx(angle, rel=0.05)
-        assert each.angle.ci95[0] < angle < each.angle.ci95[1]
+        assert point.angle.value == pytest.approx(angle, rel=0.05)
+        assert point.angle.ci95[0] < angle < point.angle.ci95[1]
 
 
 def test_the_interval_joins_those_of_the_static_fit_and_of_the_shape(result):
     static, (low, high) = result.estimate.shear_modulus, result.estimate.shear_modulus.ci95
     wide = 0.5 * np.log(high / low)
-    for each in result.estimate.relaxation.curve:
-        assert 0.5 * np.log(each.modulus.ci95[1] / each.modulus.ci95[0]) > wide
+    for point in result.estimate.relaxation.curve:
+        assert 0.5 * np.log(point.modulus.ci95[1] / point.modulus.ci95[0]) > wide
     last = result.estimate.relaxation.curve[-1].modulus
     # After five time constants the modulus is that of the static fit to a few per mille.
     assert last.value == pytest.approx(static.value, rel=0.01)
@@ -113,7 +113,7 @@ def test_the_figure_has_what_was_seen_and_the_band(result):
     np.testing.assert_array_equal(force.get_ydata(), motion.force[motion.time > 0.0])
     assert len(fit.get_xdata()) == (motion.time > 0.0).sum()
     shown = modulus.lines[0].get_ydata()
-    wanted = [each.modulus.value for each in result.estimate.relaxation.curve]
+    wanted = [point.modulus.value for point in result.estimate.relaxation.curve]
     np.testing.assert_allclose(1e3 * shown, wanted)
     assert (moved.get_xscale(), modulus.get_xscale(), modulus.get_yscale()) == ("log",) * 3
     assert creep_figure(replace(result, creep=None)) is None
@@ -154,10 +154,10 @@ def test_a_model_that_is_contradicted_has_a_curve_without_intervals(session, sta
     }
     estimate = replace(static.estimate, status=Status.MODEL_CONTRADICTED, **bare)
     found = with_relaxation(session, replace(static, estimate=estimate)).estimate.relaxation
-    assert np.isfinite([each.modulus.value for each in found.curve]).all()
-    assert np.isnan([each.modulus.ci95 for each in found.curve]).all()
+    assert np.isfinite([point.modulus.value for point in found.curve]).all()
+    assert np.isnan([point.modulus.ci95 for point in found.curve]).all()
     # Times do not depend on the modulus.
-    assert np.isfinite([each.time.ci95 for each in found.terms]).all()
+    assert np.isfinite([term.time.ci95 for term in found.terms]).all()
 
 
 def test_other_loads_do_not_follow_the_force(session, static):
@@ -201,13 +201,13 @@ def test_a_short_hold_does_not_show_the_long_term(session, static, noise):
     # Two thirds of the longest time constant; not even a curve that is known to 0.1 % tells.
     (probing,) = session.probings
     series, end = probing.series, int(np.searchsorted(TIMES, 40.0))
-    kept = series.instant < end
+    early = series.instant < end
     moved = TWO.response(TIMES, FORCE) / TWO.response(TIMES, FORCE)[-1]
     exact = moved[series.instant, None, None] * static.probes[0].predicted
     short = changed(
         session, time=series.time[:end], force=series.force[:end], reference=end - 1,
-        instant=series.instant[kept],
-        frames=(exact + noise * (series.frames - exact))[kept],
+        instant=series.instant[early],
+        frames=(exact + noise * (series.frames - exact))[early],
     )  # fmt: skip
     found = with_relaxation(short, static).estimate.relaxation
     assert found.long_term is None
@@ -269,9 +269,9 @@ def test_the_tip_alone_says_how_the_body_creeps(session, static, contact, power)
     poked = replace(probing, contact=contact, series=series)
     found = with_relaxation(replace(session, probings=(poked,)), static).estimate.relaxation
     unit = estimate.shear_modulus.value * TWO.response(TIMES, FORCE)[-1]
-    true = [unit * TWO.relaxation().at(np.array([each.time]))[0] for each in found.curve]
+    true = [unit * TWO.relaxation().at(np.array([point.time]))[0] for point in found.curve]
     # The table that inverts the depth has steps of a thousandth.
-    np.testing.assert_allclose([each.modulus.value for each in found.curve], true, rtol=2e-3)
+    np.testing.assert_allclose([point.modulus.value for point in found.curve], true, rtol=2e-3)
 
 
 def test_points_near_a_ball_are_left_out(session, static):

@@ -57,12 +57,12 @@ KINDS = {
 }
 
 
-def _probing(mesh: TriangleMesh, name: str, place: list[float], force: list[float]) -> Probing:
+def _probing(mesh: TriangleMesh, name: str, direction: list[float], force: list[float]) -> Probing:
     """Pressed at a place of the unit sphere; every third vertex is seen."""
     seen = np.flatnonzero(mesh.vertices[:, 2] > -0.2 * RADIUS)
     points = mesh.vertices[seen]
     nothing = np.zeros_like(points)
-    contact = closest_points(mesh, RADIUS * np.array([place])).position[0]
+    contact = closest_points(mesh, RADIUS * np.array([direction])).position[0]
     return Probing(
         name=name,
         contact=Contact(contact, 0.008, "smooth"),
@@ -130,9 +130,9 @@ def test_what_was_put_in_comes_out(result: FitResult) -> None:
     assert estimate.shear_modulus.value == pytest.approx(SHEAR, rel=1e-7)
     assert estimate.young_modulus.value == pytest.approx(2 * SHEAR * (1 + NU), rel=1e-7)
     assert estimate.status is Status.OK
-    assert [one.name for one in estimate.probes] == ["a", "b", "c"]
-    for one in estimate.probes:
-        assert one.poisson_ratio.value == pytest.approx(NU, abs=1e-6)
+    assert [probe.name for probe in estimate.probes] == ["a", "b", "c"]
+    for probe in estimate.probes:
+        assert probe.poisson_ratio.value == pytest.approx(NU, abs=1e-6)
 
 
 def test_gravity_and_the_tip_belong_to_the_model(session: Session, result: FitResult) -> None:
@@ -159,8 +159,8 @@ def test_every_force_sensor_has_errors_of_its_own(session: Session) -> None:
     shared = [error.name for error in found.errors if "force sensor" in error.name]
     assert shared == ["gain of the force sensor 'gauge'", *(turn.format("gauge") for turn in turns)]
     # What one probing alone has is its own.
-    own = [error.name for error in found.probes[0].errors if "force sensor" in error.name]
-    assert own == [turn.format("weights") for turn in turns]
+    unshared = [error.name for error in found.probes[0].errors if "force sensor" in error.name]
+    assert unshared == [turn.format("weights") for turn in turns]
 
 
 @pytest.mark.slow
@@ -179,12 +179,12 @@ def test_both_methods_end_at_the_same_minimum(still: Session) -> None:
     # The mesh's own error is taken linear about the last linearisation by one method, everywhere by
     # the other: a part of a standard error.
     for name in CONSTANTS:
-        one, other = (getattr(result.intervals, name) for result in results)
-        assert other.value == pytest.approx(one.value, abs=0.3 * one.std)
-        assert other.std == pytest.approx(one.std, rel=0.1)
-        assert other.value != one.value
-    for one, other in zip(fast.probes, slow.probes, strict=True):
-        assert other.rms_residual == pytest.approx(one.rms_residual, rel=1e-2)
+        first, other = (getattr(result.intervals, name) for result in results)
+        assert other.value == pytest.approx(first.value, abs=0.3 * first.std)
+        assert other.std == pytest.approx(first.std, rel=0.1)
+        assert other.value != first.value
+    for quick, other in zip(fast.probes, slow.probes, strict=True):
+        assert other.rms_residual == pytest.approx(quick.rms_residual, rel=1e-2)
 
 
 def test_settings_are_kept_with_the_result(session: Session, result: FitResult) -> None:
@@ -209,22 +209,22 @@ def test_seconds_are_those_of_the_stages(result: FitResult) -> None:
 
 
 def test_progress_rises_to_one(session: Session) -> None:
-    told: list[tuple[str, float]] = []
-    fit_session(session, progress=lambda text, share: told.append((text, share)))
-    shares = [share for _, share in told]
+    steps: list[tuple[str, float]] = []
+    fit_session(session, progress=lambda text, share: steps.append((text, share)))
+    shares = [share for _, share in steps]
     assert shares == sorted(shares)
-    assert (shares[0], told[-1]) == (0.0, ("fit done", 1.0))
-    assert dict(told)["minimisation"] == pytest.approx(0.75)
-    assert dict(told)["validation"] == pytest.approx(0.9875)
+    assert (shares[0], steps[-1]) == (0.0, ("fit done", 1.0))
+    assert dict(steps)["minimisation"] == pytest.approx(0.75)
+    assert dict(steps)["validation"] == pytest.approx(0.9875)
     # The models of the given mesh take their time, and are told one by one.
-    given = [share for text, share in told if text.startswith("the given mesh: ")]
+    given = [share for text, share in steps if text.startswith("the given mesh: ")]
     assert len(set(given)) >= 4
     assert 0.2 < max(given) < 0.4
 
 
 def test_an_error_of_scale_moves_the_moduli(session: Session) -> None:
     found = fit_session(replace(session, errors=replace(EXACT, length_scale=0.04))).estimate
-    scales = [one.prior_std for one in found.errors if one.name.startswith("scale")]
+    scales = [error.prior_std for error in found.errors if error.name.startswith("scale")]
     assert scales == [0.04] * 3
     # A scale along one axis of three moves the moduli by about half of it.
     assert found.shear_modulus.std / found.shear_modulus.value > 0.3 * 0.04
@@ -254,17 +254,22 @@ def test_what_the_calibration_leaves_open_is_in_the_interval(
     """Displacements that are all longer by a share mean a modulus that is lower by it."""
     two = replace(session, probings=session.probings[:2], errors=EXACT)
     probings = tuple(
-        replace(one, tip_displacement=None, tip_displacement_std=None) for one in two.probings
+        replace(probing, tip_displacement=None, tip_displacement_std=None)
+        for probing in two.probings
     )
     without = fit_session(replace(two, probings=probings)).estimate
     seen = _with_rig(two, tmp_path, 0.02)
     found = fit_session(replace(seen, probings=probings)).estimate
     for name in ("shear_modulus", "young_modulus"):
-        one, other = getattr(without, name), getattr(found, name)
-        expected = np.hypot(one.std / one.value, 0.02)
+        first, other = getattr(without, name), getattr(found, name)
+        expected = np.hypot(first.std / first.value, 0.02)
         # The triangulated points are those of second-order differences; the intervals' quantiles.
         assert other.std / other.value == pytest.approx(expected, rel=0.02)
-    (error,) = [one for one in found.errors if "calibration" in one.name]
+    (error,) = [
+        calibration_error
+        for calibration_error in found.errors
+        if "calibration" in calibration_error.name
+    ]
     # As large along each of the three axes.
     assert error.prior_std == pytest.approx(0.02 * np.sqrt(3.0), rel=1e-3)
     assert found.settings["lengths"]["std"] == pytest.approx([0.02] * 3, rel=1e-3)
@@ -280,12 +285,12 @@ def test_contacts_have_their_own_standard_deviation(still: Session) -> None:
         make_object_model(only),
     )
     for seen, std in ((first, 4e-4), (second, 8e-4)):
-        assert [one.std for one in seen.nuisances[-1].parameters[:2]] == [std, std]
+        assert [parameter.std for parameter in seen.nuisances[-1].parameters[:2]] == [std, std]
     same = replace(only, errors=replace(errors, contact_points={}))
     (usual, _) = session_observations(same, make_object_model(same))
     columns = [
-        columns_of(one.nuisances[-1], one.response.value(NU), _unit_load(only), NU)[:, :2]
-        for one in (first, usual)
+        columns_of(observed.nuisances[-1], observed.response.value(NU), _unit_load(only), NU)[:, :2]
+        for observed in (first, usual)
     ]
     # Linear in the shift, but for terms of third order over 0.8 mm.
     slope = (columns[0] * columns[1]).sum() / np.square(columns[1]).sum()
@@ -309,13 +314,13 @@ def test_columns_of_a_contact_are_differences_of_contacts(still: Session) -> Non
     def moved(other: Contact) -> np.ndarray:
         probing = replace(first.probings[0], contact=other)
         there = replace(first, probings=(probing,))
-        (one,) = session_observations(there, make_object_model(there))
-        return one.response.value(NU) @ load
+        (observed,) = session_observations(there, make_object_model(there))
+        return observed.response.value(NU) @ load
 
     # Two tangents, the radius, and the mesh about it.
-    assert [one.unit for one in seen.nuisances[-1].parameters] == ["m", "m", "", ""]
-    assert all("toward +" in one.name for one in seen.nuisances[-1].parameters[:2])
-    axes = ["xyz".index(one.name[-1]) for one in seen.nuisances[-1].parameters[:2]]
+    assert [parameter.unit for parameter in seen.nuisances[-1].parameters] == ["m", "m", "", ""]
+    assert all("toward +" in parameter.name for parameter in seen.nuisances[-1].parameters[:2])
+    axes = ["xyz".index(parameter.name[-1]) for parameter in seen.nuisances[-1].parameters[:2]]
     for k, axis in enumerate(axes):
         # The root of three deviations to either side.
         step = np.sqrt(3.0)
@@ -357,8 +362,8 @@ def test_columns_of_a_pose_are_those_of_a_mesh_that_lies_elsewhere(still: Sessio
             surface=closest_points(first.mesh, inside),
         )  # fmt: skip
         there = replace(first, probings=(replace(first.probings[0], displacement=field),))
-        (one,) = session_observations(there, model)
-        return (one.response.value(NU) @ load).reshape(-1, 3) @ turn.T
+        (observed,) = session_observations(there, model)
+        return (observed.response.value(NU) @ load).reshape(-1, 3) @ turn.T
 
     for k in range(6):
         half = 0.5 * (3e-4 if k < 3 else 4e-3) * np.eye(3)[k % 3]
@@ -412,8 +417,8 @@ def test_displacements_that_are_averages_have_the_constants_of_their_points(
         expected = getattr(result.estimate, name)
         assert abs(getattr(found, name).value / expected.value - 1.0) < 1e-5
     alone = tuple(
-        replace(one, displacement=replace(one.displacement, average=None))
-        for one in through.probings
+        replace(probing, displacement=replace(probing.displacement, average=None))
+        for probing in through.probings
     )
     # Taken for the points' own: 0.008 away.
     other = fit_session(replace(through, probings=alone)).estimate
@@ -500,12 +505,12 @@ def test_a_turned_session_has_the_same_constants(still: Session) -> None:
             )
         )
     turned = replace(noisy, mesh=mesh, probings=tuple(probings), gravity=turn @ still.gravity)
-    one, other = fit_session(noisy).estimate, fit_session(turned).estimate
+    first, other = fit_session(noisy).estimate, fit_session(turned).estimate
     # Rules of integration are chosen for blocks of points along the axes: other rules in another
     # frame, which agree to 1.4e-4 on so coarse a mesh; its step to the graded one is a difference,
     # and so is the size of the mesh's error that follows from it.
     for name in CONSTANTS:
-        assert getattr(other, name).value == pytest.approx(getattr(one, name).value, rel=2e-3)
+        assert getattr(other, name).value == pytest.approx(getattr(first, name).value, rel=2e-3)
 
 
 @pytest.mark.slow

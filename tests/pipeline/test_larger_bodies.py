@@ -30,8 +30,8 @@ def constants(session):
     found = fit_session(session, settings=SETTINGS).estimate
     return [
         part
-        for one in (found.shear_modulus, found.poisson_ratio)
-        for part in (one.value, one.std, *one.ci95)
+        for constant in (found.shear_modulus, found.poisson_ratio)
+        for part in (constant.value, constant.std, *constant.ci95)
     ]
 
 

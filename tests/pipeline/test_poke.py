@@ -51,16 +51,18 @@ def test_it_does_not_matter_where_between_the_vertices_a_contact_lies():
     moved = []
     for angle in np.linspace(0.0, 2.0, 9):
         turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
-        place = np.array([0.6, 0.0, 0.8])
-        contact = Contact(0.03 * turn @ place, 5.5e-3, "smooth")
-        pressed = poke_session(ball, turn @ -place, contact, shear_modulus=SHEAR, poisson_ratio=NU)
+        direction = np.array([0.6, 0.0, 0.8])
+        contact = Contact(0.03 * turn @ direction, 5.5e-3, "smooth")
+        pressed = poke_session(
+            ball, turn @ -direction, contact, shear_modulus=SHEAR, poisson_ratio=NU
+        )
         moved.append(pressed.displacement @ turn)
     # Quadratics through the vertices alone are up to a tenth off, and by the integral equation at
     # the point two per cent, where it lies close to an edge.
     np.testing.assert_allclose(
         moved, np.tile(moved[0], (9, 1)), atol=1e-3 * np.linalg.norm(moved[0])
     )
-    assert moved[0] @ -place > 0.0
+    assert moved[0] @ -direction > 0.0
 
 
 def test_the_plane_half_way_down_carries_the_force(session):
@@ -133,7 +135,9 @@ def test_the_outward_traction_of_a_tool_lifts_the_surface_under_it(session):
     Hertz's circle Q is 5 / (4 pi a) of force times the lever."""
     radius, outward = 6e-3, 0.2
     known = tool_contact(session, TOP, radius)
-    plain, pulled = (replace(known, traction=traction_of("hertz", each)) for each in (0.0, outward))
+    plain, pulled = (
+        replace(known, traction=traction_of("hertz", share)) for share in (0.0, outward)
+    )
     options = {"shear_modulus": SHEAR, "poisson_ratio": NU, "interior": CENTRE}
     without = poke_session(session, PRESS, plain, **options)
     found = poke_session(session, PRESS, pulled, **options)

@@ -60,8 +60,8 @@ def block():
     factor = factorise(free_part(stiffness, held), solid.nodes[~held])
     at_vertices = surface_values(solid, mesh.vertices)
 
-    def motion(place, push):
-        load = pressure_load(solid, place, RADIUS, smooth_pressure)[:, None] * unit(push)
+    def motion(point, push):
+        load = pressure_load(solid, point, RADIUS, smooth_pressure)[:, None] * unit(push)
         moved = np.zeros((len(solid.nodes), 3))
         moved[~held] = factor.solve(load[~held].reshape(-1, 1)).reshape(-1, 3)
         return at_vertices @ moved
@@ -84,15 +84,15 @@ def make_session(
     on_support = np.unique(mesh.triangles[held])
     probings = []
     for k, moved in enumerate(motions[: len(PLACES)]):
-        place, size = 1e-3 * np.array(PLACES[k]), 1.0 if sizes is None else sizes[k]
+        point, size = 1e-3 * np.array(PLACES[k]), 1.0 if sizes is None else sizes[k]
         sigma = noise * size * float(np.sqrt((moved**2).mean()))
         seen = size * moved + sigma * rng.normal(size=moved.shape)
-        seen[np.linalg.norm(mesh.vertices - place, axis=1) < RADIUS] = np.nan
+        seen[np.linalg.norm(mesh.vertices - point, axis=1) < RADIUS] = np.nan
         seen[on_support] = np.nan
         force = size * (unit(PUSHES[k]) + force_std * rng.normal(size=3))
         probings.append(
             Probing(
-                f"n{k}", Contact(place, RADIUS, "smooth"), force, np.full(3, size * force_std),
+                f"n{k}", Contact(point, RADIUS, "smooth"), force, np.full(3, size * force_std),
                 None, None, field_of(mesh, seen, np.full_like(seen, sigma)), None,
             )
         )  # fmt: skip
@@ -104,8 +104,8 @@ def make_session(
 def field_of(mesh, displacement, std) -> DisplacementField:
     corner = np.zeros(len(mesh.vertices), dtype=np.int64)
     corner[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
-    triangle, place = np.divmod(corner, 3)
-    surface = SurfacePoints(triangle, np.eye(3)[place], mesh.vertices, np.zeros(len(corner)))
+    triangle, corner_index = np.divmod(corner, 3)
+    surface = SurfacePoints(triangle, np.eye(3)[corner_index], mesh.vertices, np.zeros(len(corner)))
     return DisplacementField(mesh.vertices, displacement, std, None, surface, "truth")
 
 
@@ -140,7 +140,7 @@ def test_a_force_told_too_large_is_named(block):
     assert not found.holds
     assert found.odd == ("n3",)
     assert not found.grows
-    push = next(each for each in found.pushes if each.name == "n3")
+    push = next(excess for excess in found.pushes if excess.name == "n3")
     assert abs(push.excess - 0.05) < 3.0 * np.hypot(push.std, 0.005)
     assert "It is n3" in found.text
     assert "more force is stated" in found.text
@@ -277,7 +277,7 @@ def test_tips_show_that_pushes_put_work_in(block):
     assert len(found.passive) == 8
     assert 0.0 < found.own_work < 1.0
     assert found.own_work > 5.0 * found.own_work_std
-    backward = [replace(each, tip_displacement=-each.tip_displacement) for each in touched]
+    backward = [replace(probing, tip_displacement=-probing.tip_displacement) for probing in touched]
     assert reciprocity(replace(session, probings=tuple(backward))).own_work < 0.0
 
 

@@ -211,14 +211,14 @@ def painted(seen, *, contrast=30.0, wave=WAVE):
     across = wave * FOCAL / ABOVE * np.stack([np.cos(angle), np.sin(angle)])
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
     cameras = camera(), camera("c1", x=0.7 * SIDE)
-    for one, middle in zip(cameras, (0.5 * SIDE, 0.7 * SIDE), strict=True):
+    for device, middle in zip(cameras, (0.5 * SIDE, 0.7 * SIDE), strict=True):
         x = middle + ABOVE * (column - 79.5) / FOCAL
         y = 0.5 * SIDE - ABOVE * (row - 59.5) / FOCAL
         waves = np.cos(x[..., None] * across[0] + y[..., None] * across[1] + phase)
         on = (x > 0) & (x < SIDE) & (y > 0) & (y < SIDE)
         grey = np.where(on, 120 + contrast * np.sqrt(2 / 60) * waves.sum(axis=2), 10.0)
         grey = np.clip(grey + rng.normal(0.0, 1.0, SHAPE), 0, 255).astype(np.uint8)
-        cv2.imwrite(str(seen.path.parent / f"s0_{one.name}.png"), grey)
+        cv2.imwrite(str(seen.path.parent / f"s0_{device.name}.png"), grey)
     write_rig(seen.path.parent / "rig.toml", Rig(cameras, 0, "rig.toml"))
     return replace(seen, mesh=box(size=(SIDE,) * 3, cells=8))
 

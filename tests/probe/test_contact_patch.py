@@ -58,8 +58,8 @@ def test_patch_holds_every_triangle_within_its_radius_on_the_top():
     assert np.linalg.norm(corners - TOP, axis=2).min(axis=1).max() < 0.2 + 0.18
     assert triangle_areas(mesh)[patch.triangles].sum() > np.pi * 0.2**2
     np.testing.assert_allclose(patch.barycentric.sum(), 1)
-    place = patch.barycentric @ mesh.vertices[mesh.triangles[patch.triangle]]
-    np.testing.assert_allclose(place, TOP, atol=1e-12)
+    position = patch.barycentric @ mesh.vertices[mesh.triangles[patch.triangle]]
+    np.testing.assert_allclose(position, TOP, atol=1e-12)
 
 
 def test_vertex_profile_is_the_hat_of_the_nearest_vertex():

@@ -131,11 +131,11 @@ def test_a_cone_is_sneddon_s(degrees: float) -> None:
 def test_four_times_the_force_doubles_the_circle_of_a_cone(degrees: float, nu: float) -> None:
     """Nothing but the circle has a length, however the surface is drawn outward."""
     cone = Cone(0.05, np.radians(degrees))
-    one, four = (_found(cone, force, nu=nu).radius for force in (0.1, 0.4))
-    assert four == pytest.approx(2.0 * one, rel=1e-5)
+    single, four = (_found(cone, force, nu=nu).radius for force in (0.1, 0.4))
+    assert four == pytest.approx(2.0 * single, rel=1e-5)
     # What the tool draws outward raises the surface towards it: fewer points are touched.
     level = np.sqrt(0.2 * np.tan(cone.angle) / np.pi / (2.0 * SHEAR / (1.0 - nu)))
-    assert one < level
+    assert single < level
 
 
 def test_its_pressure_gives_the_depth() -> None:
@@ -167,7 +167,7 @@ def test_the_pressure_of_a_sphere_is_sneddon_s() -> None:
         return float(quad(steeper, 0.0, np.arccosh(1.0 / s))[0])
 
     s = np.array([0.1, 0.5, 0.8, 0.95])
-    wanted = np.array([pressure(each) for each in s])
+    wanted = np.array([pressure(distance) for distance in s])
     here = found.traction.mean(s)
     np.testing.assert_allclose(here / here[0], wanted / wanted[0], rtol=1e-4)
     hertz = PRESSURES["hertz"](s)
@@ -226,8 +226,8 @@ def _displacements(centre: np.ndarray, radius: float, nu: float) -> np.ndarray:
 
     potentials, normal = disc_potentials(profile), np.array([0.0, 0.0, 1.0])
     matrix = np.empty((len(centre), 3, len(centre), 3))
-    for k, one in enumerate(centre):
-        disc = PressureDisc(one, radius, profile)
+    for k, middle in enumerate(centre):
+        disc = PressureDisc(middle, radius, profile)
         constant, slope = disc_displacement(disc, potentials, normal, centre)
         matrix[:, :, k] = constant + nu * slope
     return matrix
@@ -476,7 +476,7 @@ def _ring_by_annuli(inner: float, count: int) -> tuple[float, float]:
         outside = 4.0 / np.pi * r * (ellipe(far) - (1.0 - far) * ellipk(np.minimum(far, 1 - 1e-15)))
         return np.where(s < 1.0, inside, outside)
 
-    at = np.stack([disc(middle, each) for each in edge], axis=1)
+    at = np.stack([disc(middle, edge_radius) for edge_radius in edge], axis=1)
     pressure = np.linalg.solve(np.diff(at, axis=1), np.ones(count))
     force = pressure * np.pi * np.diff(edge**2)
     return float(force.sum()), float(force @ middle**2 / force.sum())

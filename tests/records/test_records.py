@@ -213,9 +213,9 @@ def test_every_status_has_its_cure():
 def test_constants_and_estimates_are_checked():
     with pytest.raises(InputError, match="ci95 is"):
         Constant(1.0, 0.1, (2.0, 1.0))
-    one = Constant(1.0, 0.1, (0.8, 1.2))
+    constant = Constant(1.0, 0.1, (0.8, 1.2))
     with pytest.raises(InputError, match="identifiable has the keys"):
-        Estimate(Status.OK, one, one, one, {}, (), {}, "reduced", {}, ())
+        Estimate(Status.OK, constant, constant, constant, {}, (), {}, "reduced", {}, ())
 
 
 def test_an_average_is_a_sum_over_points_or_the_point_itself():

@@ -23,10 +23,10 @@ def test_a_step_of_the_force_gives_the_compliance_itself():
 
 def test_a_ramp_gives_the_closed_form():
     # Of one term: J_0 t + J_1 (t - tau (1 - exp(-t / tau))), per unit rate.
-    one = CreepCompliance(2.0, np.array([1.5]), np.array([7.0]))
+    term = CreepCompliance(2.0, np.array([1.5]), np.array([7.0]))
     wanted = 2.0 * TIME + 1.5 * (TIME - 7.0 * (1.0 - np.exp(-TIME / 7.0)))
     # The closed form loses four digits in its difference at t = 0.1.
-    np.testing.assert_allclose(one.response(TIME, TIME), wanted, rtol=1e-11)
+    np.testing.assert_allclose(term.response(TIME, TIME), wanted, rtol=1e-11)
 
 
 def test_any_piecewise_linear_force_gives_the_integral():
@@ -43,9 +43,9 @@ def test_any_piecewise_linear_force_gives_the_integral():
 def test_more_knots_on_the_same_force_change_nothing():
     finer = np.unique(np.concatenate([TIME, np.linspace(0.0, 30.0, 3001)]))
     found = TWO.response(finer, np.interp(finer, TIME, FORCE))
-    kept = np.searchsorted(finer, TIME)
+    known = np.searchsorted(finer, TIME)
     # Three thousand steps of the recursion.
-    np.testing.assert_allclose(found[kept], TWO.response(TIME, FORCE), rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(found[known], TWO.response(TIME, FORCE), rtol=1e-10, atol=1e-12)
 
 
 def test_knots_closer_than_rounding_are_a_step():

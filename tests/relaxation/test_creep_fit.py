@@ -70,7 +70,7 @@ def test_an_elastic_body_stays_elastic_where_noise_is_all_there_is():
     found = fitted(motion(ELASTIC, noise=0.3, seed=4))
     assert found.terms == 0
     # Nothing is known but the static modulus, which has its own interval.
-    assert found.logarithm(lambda each: each.relaxation().at(AT))[1] == pytest.approx(0.0)
+    assert found.logarithm(lambda fit: fit.relaxation().at(AT))[1] == pytest.approx(0.0)
 
 
 def test_the_level_of_the_noise_is_found():

@@ -19,15 +19,15 @@ def test_a_round_of_views_finds_its_poses():
     found = posed(views)
     first = camera_at(0.0).T_camera_object
     for k, view in enumerate(found):
-        own = camera_at(2.0 * np.pi * k / count).T_camera_object
-        expected = first @ np.linalg.inv(own)
-        place = views[k].points @ expected[:3, :3].T + expected[:3, 3]
+        T_camera_object = camera_at(2.0 * np.pi * k / count).T_camera_object
+        expected = first @ np.linalg.inv(T_camera_object)
+        position = views[k].points @ expected[:3, :3].T + expected[:3, 3]
         turn, _ = Rotation.align_vectors(
-            view.points - view.points.mean(axis=0), place - place.mean(axis=0)
+            view.points - view.points.mean(axis=0), position - position.mean(axis=0)
         )
         # 1500 points of 0.05 mm on each view, the chain closed: a tenth of the limits of a bench.
         assert np.degrees(turn.magnitude()) < 0.06
-        assert np.linalg.norm(view.points.mean(axis=0) - place.mean(axis=0)) < 6e-5
+        assert np.linalg.norm(view.points.mean(axis=0) - position.mean(axis=0)) < 6e-5
 
 
 @pytest.mark.slow

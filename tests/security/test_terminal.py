@@ -101,5 +101,5 @@ def test_nothing_is_printed_by_other_ways():
     for file in root.rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             name = getattr(getattr(node, "func", None), "id", "")
-            place = file.relative_to(root).as_posix()
-            assert place in allowed.get(name, {place}), f"{place}: line {node.lineno}: {name}"
+            source = file.relative_to(root).as_posix()
+            assert source in allowed.get(name, {source}), f"{source}: line {node.lineno}: {name}"

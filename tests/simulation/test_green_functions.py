@@ -109,9 +109,9 @@ def test_a_file_with_any_other_byte_is_refused_or_reads_the_same(tmp_path):
     whole = path.read_bytes()
     rng = np.random.default_rng(4)
     refused = 0
-    for place in rng.integers(0, len(whole), 300):
+    for index in rng.integers(0, len(whole), 300):
         broken = bytearray(whole)
-        broken[place] ^= 1 << rng.integers(8)
+        broken[index] ^= 1 << rng.integers(8)
         path.write_bytes(broken)
         try:
             again = read_green_functions(path)

@@ -40,7 +40,7 @@ def test_calculix_and_abaqus_get_the_law(source, tmp_path):
     checked(source, first, second, 2.0 / volume[0])
     # Neither a third term nor higher ones in the volume, which are divided by.
     assert third == 0.0
-    assert all(each > 1e8 * volume[0] for each in volume[1:])
+    assert all(value > 1e8 * volume[0] for value in volume[1:])
     assert "*ELASTIC" not in text
     assert "*STEP, NLGEOM\n" in text
     assert any("Yeoh's law was written with C2 / C1 = 3" in note for note in body.notes)

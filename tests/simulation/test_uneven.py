@@ -167,8 +167,8 @@ def test_files_have_the_modulus_of_every_element(source, to, tmp_path):
         found, above = np.array(text.split(separator), dtype=float), None
     elif to == "febio":
         root = ET.parse(tmp_path / "model.feb").getroot()
-        found = np.array([float(each.text) for each in root.findall("Material/material/E")])
-        counts = [len(each.findall("elem")) for each in root.findall("Mesh/Elements")]
+        found = np.array([float(element.text) for element in root.findall("Material/material/E")])
+        counts = [len(group.findall("elem")) for group in root.findall("Mesh/Elements")]
         assert len(counts) == len(found) == len(root.findall("MeshDomains/SolidDomain"))
         above = None
     elif to == "mujoco":

@@ -237,9 +237,11 @@ def test_a_force_that_a_body_could_bear_only_as_a_thin_layer_is_refused(block):
 
 
 def test_samples_of_a_face_are_of_degree_two():
-    place = facet_samples()
-    assert place.shape == (48, 3)
-    assert (place > 0.0).all()
+    samples = facet_samples()
+    assert samples.shape == (48, 3)
+    assert (samples > 0.0).all()
     # Means over a triangle: a 1/3, a^2 1/6, a b 1/12; the rule is exact.
-    np.testing.assert_allclose(place.mean(axis=0), 1 / 3, rtol=1e-12)
-    np.testing.assert_allclose(place.T @ place / 48, (np.ones((3, 3)) + np.eye(3)) / 12, rtol=1e-12)
+    np.testing.assert_allclose(samples.mean(axis=0), 1 / 3, rtol=1e-12)
+    np.testing.assert_allclose(
+        samples.T @ samples / 48, (np.ones((3, 3)) + np.eye(3)) / 12, rtol=1e-12
+    )

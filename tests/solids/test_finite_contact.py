@@ -214,8 +214,10 @@ def test_slopes_with_weight_are_those_of_the_presses(tip: Tip) -> None:
             return yeoh(2.0 + stiffer)(mu, lame + more * mu)
 
         scale = np.exp(share)
-        own = _sag(body, scale * WEIGHT, other)
-        return press_finite(body, tip, 0.8 * scale, law=other, start=press, sag=own).displacement
+        sag_of_body = _sag(body, scale * WEIGHT, other)
+        return press_finite(
+            body, tip, 0.8 * scale, law=other, start=press, sag=sag_of_body
+        ).displacement
 
     step = 2e-3
     for column, change in zip(found.T, step * np.eye(3), strict=True):

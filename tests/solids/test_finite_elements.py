@@ -156,8 +156,8 @@ def test_stiffness_is_that_of_another_program(block, poisson):
     other = linear_elasticity(lame, SHEAR).assemble(basis)
     field = np.random.default_rng(1).normal(size=(len(block.nodes), 3))
     # The other program numbers its unknowns otherwise: tie them by place and component.
-    place = basis.doflocs.T
-    node = np.linalg.norm(place[:, None] - block.nodes[None], axis=2).argmin(axis=1)
+    position = basis.doflocs.T
+    node = np.linalg.norm(position[:, None] - block.nodes[None], axis=2).argmin(axis=1)
     component = np.empty(len(node), dtype=int)
     for i in range(3):
         component[np.concatenate([basis.nodal_dofs[i], basis.edge_dofs[i]])] = i
@@ -190,8 +190,8 @@ def test_half_ball_of_other_programs(shared_data, name, limit):
 
 def test_values_at_the_surface_are_quadratic(block):
     rng = np.random.default_rng(2)
-    place = rng.uniform(size=(50, 2)) * SIZE[:2]
-    points = np.column_stack([place, np.full(50, SIZE[2])])
+    flat = rng.uniform(size=(50, 2)) * SIZE[:2]
+    points = np.column_stack([flat, np.full(50, SIZE[2])])
 
     def field(x):
         return 1.0 + 3.0 * x[:, 0] + 200.0 * x[:, 0] * x[:, 1] - 150.0 * x[:, 1] ** 2 + x[:, 2]
@@ -293,9 +293,9 @@ def test_a_half_space_gives_under_a_load_as_in_closed_form(cut):
     """Under pressure 1 - s^2 by Hankel's transform: the integral of (8 J_2(k) / k^2)^2 over k is
     2.0695. A patch of which an edge cuts a third: a plain sum over many points."""
     size, radius = (0.06, 0.06, 0.03), 9e-3
-    place = np.array([0.003 if cut else 0.03, 0.03, 0.03])
+    point = np.array([0.003 if cut else 0.03, 0.03, 0.03])
     solid = filled(box(size, cells=6), edge=6e-3)
-    found = half_space_compliance(solid, place, radius, lambda s: np.clip(1.0 - s**2, 0.0, None))
+    found = half_space_compliance(solid, point, radius, lambda s: np.clip(1.0 - s**2, 0.0, None))
     expected = 2.0695 / (2.0 * np.pi * radius)
     if cut:
         x, y = np.meshgrid((np.arange(-10, 30) + 0.5) / 30, (np.arange(-30, 30) + 0.5) / 30)

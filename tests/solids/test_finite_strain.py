@@ -100,7 +100,9 @@ def test_a_turned_body_has_no_energy(block, basis, law):
 def test_shape_and_volume_are_apart_in_the_split_law() -> None:
     law = SplitNeoHookean(SHEAR, 2 * SHEAR)
     larger, sheared = 1.2 * np.eye(3), np.eye(3) + 0.5 * np.eye(3, k=2)
-    swollen, slid = (float(law.density(one[:, :, None, None]).item()) for one in (larger, sheared))
+    swollen, slid = (
+        float(law.density(gradient[:, :, None, None]).item()) for gradient in (larger, sheared)
+    )
     # K is 8/3 mu; rounding.
     assert swollen == pytest.approx(0.5 * (8 / 3 * SHEAR) * (1.2**3 - 1.0) ** 2, rel=1e-12)
     assert slid == pytest.approx(0.5 * SHEAR * 0.5**2, rel=1e-12)
@@ -115,12 +117,12 @@ def test_uniaxial_stretch_is_in_equilibrium(block, basis, stretch, poisson, stif
     + 2 mu stiffening (I - 3) (J^(-2/3) l_i - I / (3 l_i))."""
     lame = 2 * SHEAR * poisson / (1 - 2 * poisson)
 
-    def nominal_stress(own, side):
+    def nominal_stress(along, side):
         volume = stretch * side**2
         scale = volume ** (-2 / 3)
         shape = (stretch**2 + 2 * side**2) * scale
-        hooke = SHEAR * (own - 1 / own) + lame * np.log(volume) / own
-        return hooke + 2 * SHEAR * stiffening * (shape - 3) * (scale * own - shape / (3 * own))
+        hooke = SHEAR * (along - 1 / along) + lame * np.log(volume) / along
+        return hooke + 2 * SHEAR * stiffening * (shape - 3) * (scale * along - shape / (3 * along))
 
     side = brentq(lambda b: nominal_stress(b, b), 0.3, 3.0, xtol=1e-15)
     nominal = nominal_stress(stretch, side)

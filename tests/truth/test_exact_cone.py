@@ -40,7 +40,7 @@ def test_a_right_model_calls_itself_right(estimate: Estimate) -> None:
 
 
 def test_no_posterior_is_wider_than_its_prior(estimate: Estimate) -> None:
-    every = [*estimate.errors, *(error for one in estimate.probes for error in one.errors)]
+    every = [*estimate.errors, *(error for probe in estimate.probes for error in probe.errors)]
     assert len(every) > 30
     assert max(error.std / error.prior_std for error in every) <= 1.0 + 1e-9
     # What displacements do not show stays as it was told: the gain is not moved.

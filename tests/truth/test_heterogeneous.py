@@ -18,10 +18,10 @@ def errors(session, predictions):
     """Relative error of each push away from its tool."""
     points = {probing.name: probing.contact.point for probing in session.probings}
     found = []
-    for each in predictions:
-        away = np.linalg.norm(each.position - points[each.name], axis=1) > 1.3 * 6e-3
-        off = each.predicted[away] - each.measured[away]
-        found.append(np.linalg.norm(off) / np.linalg.norm(each.measured[away]))
+    for prediction in predictions:
+        away = np.linalg.norm(prediction.position - points[prediction.name], axis=1) > 1.3 * 6e-3
+        off = prediction.predicted[away] - prediction.measured[away]
+        found.append(np.linalg.norm(off) / np.linalg.norm(prediction.measured[away]))
     return np.array(found)
 
 
@@ -38,7 +38,7 @@ def test_what_is_inside_is_found_and_predicted(shared_data):
     # Not asked for: the data themselves lead there.
     result = fit_session(fitted, material=Material.AUTO)
     assert result.estimate.status is Status.HETEROGENEOUS
-    before, after = (errors(held, each.predict(held)) for each in (plain, result))
+    before, after = (errors(held, result_of.predict(held)) for result_of in (plain, result))
     assert np.median(after) < 0.3 * np.median(before)
     assert after.max() < 0.01
     (ball,) = result.estimate.field.parts

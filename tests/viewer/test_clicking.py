@@ -68,8 +68,10 @@ def test_what_was_set_is_read_back_and_the_rest_stays(opened):
     assert again.probings[0].contact.radius == opened.probings[0].contact.radius
     written = opened.path.read_text()
     assert "# a comment of a person" in written
-    kept = [line for line in text.splitlines() if "plane" not in line and "contact" not in line]
-    assert [line for line in kept if line not in written.splitlines()] == []
+    unchanged = [
+        line for line in text.splitlines() if "plane" not in line and "contact" not in line
+    ]
+    assert [line for line in unchanged if line not in written.splitlines()] == []
 
 
 def test_lengths_are_written_in_the_session_s_unit(opened):

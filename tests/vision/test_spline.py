@@ -30,8 +30,8 @@ def test_the_spline_passes_through_the_pixels():
     np.testing.assert_allclose(found.reshape(SHAPE), grey, atol=ROUNDING)
 
 
-def _quintic(place):
-    x, y = (place - [30.0, 26.0]).T / 10.0
+def _quintic(pixel):
+    x, y = (pixel - [30.0, 26.0]).T / 10.0
     low = 100.0 + 9.0 * x - 7.0 * y + 5.0 * x * y + 4.0 * x**3 - 3.0 * x * y**2
     return low + 2.0 * y**5 - 3.0 * x**3 * y**2 + x**5
 
@@ -40,8 +40,8 @@ def test_quintics_are_exact_away_from_the_edge():
     """What the mirrored edge bends has fallen to 0.43^20 = 5e-8 twenty pixels inside."""
     shape, inside = (53, 61), np.s_[20:33, 20:41]
     picture = make_spline_picture(_quintic(_grid(*shape)).reshape(shape).astype(np.float32))
-    place = np.random.default_rng(2).uniform([20.0, 20.0], [40.0, 32.0], (300, 2))
-    np.testing.assert_allclose(interpolate(picture, place), _quintic(place), atol=ROUNDING)
+    pixel = np.random.default_rng(2).uniform([20.0, 20.0], [40.0, 32.0], (300, 2))
+    np.testing.assert_allclose(interpolate(picture, pixel), _quintic(pixel), atol=ROUNDING)
     at = _grid(*shape).reshape(*shape, 2)[inside].reshape(-1, 2)
     h = np.array([1e-3, 0.0])
     inner = picture.along_column[inside].ravel(), picture.along_row[inside].ravel()
@@ -54,9 +54,9 @@ def test_quintics_are_exact_away_from_the_edge():
 def test_the_phase_of_a_wave_follows_a_small_shift(length, error):
     """A cubic spline is off by 0.7, 0.2 and 0.04 %: so much too long it makes small motions."""
     number, shift = 2.0 * np.pi / length, 0.1
-    place = _grid(60, 70)
-    wave = (100.0 + 100.0 * np.cos(number * place[:, 0])).reshape(60, 70).astype(np.float32)
-    at = place.reshape(60, 70, 2)[25:35, 22:46].reshape(-1, 2)
+    pixel = _grid(60, 70)
+    wave = (100.0 + 100.0 * np.cos(number * pixel[:, 0])).reshape(60, 70).astype(np.float32)
+    at = pixel.reshape(60, 70, 2)[25:35, 22:46].reshape(-1, 2)
     found = interpolate(make_spline_picture(wave), at + np.array([shift, 0.0])) - 100.0
     parts = np.stack([np.cos(number * at[:, 0]), -np.sin(number * at[:, 0])], axis=1)
     cosine, sine = np.linalg.lstsq(parts, found, rcond=None)[0]
@@ -70,13 +70,13 @@ def test_stored_derivatives_are_those_of_the_spline():
     for axis, stored in enumerate((picture.along_column, picture.along_row)):
         step = np.eye(2)[axis]
         # Richardson: the terms in h^2 cancel, those in h^4 are below the rounding.
-        one, two = (
+        small_step, two = (
             (interpolate(picture, at + k * h * step) - interpolate(picture, at - k * h * step))
             / (2.0 * k * h)
             for k in (1, 2)
         )
         # Differences of single precision over an eighth of a pixel.
-        np.testing.assert_allclose(stored.ravel(), (4.0 * one - two) / 3.0, atol=3e-3)
+        np.testing.assert_allclose(stored.ravel(), (4.0 * small_step - two) / 3.0, atol=3e-3)
     np.testing.assert_allclose(picture.along_column[:, [0, -1]], 0.0, atol=ROUNDING)
     np.testing.assert_allclose(picture.along_row[[0, -1]], 0.0, atol=ROUNDING)
 
@@ -118,8 +118,8 @@ def test_smoothing_is_a_gaussian_before_anything_else():
 def test_far_outside_is_finite_and_harmless(far):
     """Windows may be warped anywhere before they are given up."""
     picture = make_spline_picture(Speckle(SHAPE, 6).image())
-    place = np.array([[far, 5.0], [-far, 5.0], [5.0, far], [5.0, -far], [far, -far]])
-    assert np.isfinite(interpolate(picture, place)).all()
+    pixel = np.array([[far, 5.0], [-far, 5.0], [5.0, far], [5.0, -far], [far, -far]])
+    assert np.isfinite(interpolate(picture, pixel)).all()
     assert picture.coefficients.shape == (SHAPE[0] + 2 * PADDING, SHAPE[1] + 2 * PADDING)
 
 
@@ -133,8 +133,8 @@ def test_share_of_noise_is_the_sum_of_squares_of_the_cardinal_spline():
     picture = make_spline_picture(bright)
     shift = np.arange(-14.0, 15.0)
     part = np.linspace(0.0, 1.0, 21)
-    place = np.stack([20.0 + (part[:, None] + shift).ravel(), np.full(21 * 29, 20.0)], axis=1)
-    line = (interpolate(picture, place).reshape(21, 29) ** 2).sum(axis=1)
+    pixel = np.stack([20.0 + (part[:, None] + shift).ravel(), np.full(21 * 29, 20.0)], axis=1)
+    line = (interpolate(picture, pixel).reshape(21, 29) ** 2).sum(axis=1)
     found = np.array([noise_fraction_kernel(np.float32(7.0 + t), np.float32(3.0)) for t in part])
     np.testing.assert_allclose(found, line, atol=0.0105)
     # Half way, where the formula is fitted, it is exact; both directions multiply.

@@ -85,8 +85,8 @@ def test_point_is_the_minimum_of_the_weighted_distances(sigma):
     found = triangulate(rig, pixels, sigma)
     gradient = np.zeros((100, 3))
     for camera, seen in zip(rig.cameras, pixels, strict=True):
-        place, jacobian = project_jacobian(camera, found.point)
-        gradient += np.einsum("nij,ni->nj", jacobian, seen - place) / sigma**2
+        pixel, jacobian = project_jacobian(camera, found.point)
+        gradient += np.einsum("nij,ni->nj", jacobian, seen - pixel) / sigma**2
     step = np.einsum("nij,nj->ni", found.covariance, gradient)
     # The stop, 1e-12 of 0.6 m, times the slow rate of convergence at this much noise.
     np.testing.assert_allclose(step, 0.0, atol=1e-12 * sigma)
@@ -142,9 +142,9 @@ def test_one_sigma_is_the_round_covariance():
     rig = _rig(3)
     pixels = _seen(rig, _points(20)) + np.random.default_rng(5).normal(0.0, 0.1, (3, 20, 2))
     round_one = np.broadcast_to(0.3**2 * np.eye(2), (3, 20, 2, 2)).copy()
-    one, other = triangulate(rig, pixels, 0.3), triangulate(rig, pixels, round_one)
-    np.testing.assert_allclose(one.point, other.point, atol=1e-14)
-    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-10)
+    first, other = triangulate(rig, pixels, 0.3), triangulate(rig, pixels, round_one)
+    np.testing.assert_allclose(first.point, other.point, atol=1e-14)
+    np.testing.assert_allclose(first.covariance, other.covariance, rtol=1e-10)
 
 
 def test_moving_the_object_frame_moves_points_and_covariances():
@@ -154,21 +154,21 @@ def test_moving_the_object_frame_moves_points_and_covariances():
     motion[:3, :3] = cv2.Rodrigues(np.array([1.0, -2.0, 0.5]))[0]
     motion[:3, 3] = [0.3, -0.1, 0.2]
     other = Rig(tuple(moved(camera, motion) for camera in rig.cameras), 0, "here")
-    one, two = triangulate(rig, pixels, 0.1), triangulate(other, pixels, 0.1)
+    first, second = triangulate(rig, pixels, 0.1), triangulate(other, pixels, 0.1)
     turn = motion[:3, :3]
-    np.testing.assert_allclose(two.point, one.point @ turn.T + motion[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(second.point, first.point @ turn.T + motion[:3, 3], atol=1e-12)
     np.testing.assert_allclose(
-        two.covariance, turn @ one.covariance @ turn.T, rtol=1e-6, atol=1e-14
+        second.covariance, turn @ first.covariance @ turn.T, rtol=1e-6, atol=1e-14
     )
-    np.testing.assert_allclose(two.residual, one.residual, atol=1e-10)
+    np.testing.assert_allclose(second.residual, first.residual, atol=1e-10)
 
 
 def test_order_of_the_cameras_does_not_matter():
     rig = _rig(3)
     pixels = _seen(rig, _points()) + np.random.default_rng(7).normal(0.0, 0.1, (3, 100, 2))
     back = Rig(rig.cameras[::-1], 0, "here")
-    one, two = triangulate(rig, pixels, 0.1), triangulate(back, pixels[::-1], 0.1)
-    np.testing.assert_allclose(two.point, one.point, atol=1e-12)
+    first, second = triangulate(rig, pixels, 0.1), triangulate(back, pixels[::-1], 0.1)
+    np.testing.assert_allclose(second.point, first.point, atol=1e-12)
 
 
 def test_cameras_that_do_not_see_a_point_are_left_out():

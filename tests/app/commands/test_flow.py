@@ -81,7 +81,7 @@ def session(tmp_path):
 def measured(monkeypatch):
     """The measurement replaced: what it gives, and what it was asked for."""
     sampled = sample(reject={Outcome.SCORE: [5, 6]})
-    told = SimpleNamespace(
+    measurement = SimpleNamespace(
         asked=[],
         motions=[
             motion("n01_1", sampled, probing="n01", last=False),
@@ -92,15 +92,15 @@ def measured(monkeypatch):
     )
 
     def measured_motions(session, *, method, pose, progress, parts):
-        told.asked.append((session, method, pose))
+        measurement.asked.append((session, method, pose))
         wanted = {None, *(probing.name for probing in session.probings)}
-        for found in told.motions:
+        for found in measurement.motions:
             progress("points [a]", 0.5)
             if found.probing in wanted:
-                yield rig(), found, told.notes
+                yield rig(), found, measurement.notes
 
     monkeypatch.setattr(flow_command, "measured_motions", measured_motions)
-    return told
+    return measurement
 
 
 def test_the_table_is_printed_and_the_folder_written(palpate, measured, session, tmp_path):
@@ -254,7 +254,7 @@ def test_motions_are_let_go_once_they_are_written(palpate, session, tmp_path, mo
     def flows():
         gc.collect()
         # By type: to ask a weak proxy for its class fails where its object is gone.
-        return sum(type(each) is RangeFlow for each in gc.get_objects())
+        return sum(type(item) is RangeFlow for item in gc.get_objects())
 
     def measured_motions(session, **options):
         (folder,) = (path for path in tmp_path.glob(".long*") if path.is_dir())

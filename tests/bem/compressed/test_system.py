@@ -63,7 +63,7 @@ def test_the_slope_is_that_of_the_matrix(dense, compressed):
 
 def test_given_displacements_are_those_of_the_dense_system(dense, compressed):
     turn = np.cross(dense.surface.mesh.vertices, [0.3, 0.2, 1.0])[:, :, None]
-    wanted, found = (support_columns(one, turn).terms for one in (dense, compressed))
+    wanted, found = (support_columns(system, turn).terms for system in (dense, compressed))
     assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted).max()
 
 
@@ -221,8 +221,8 @@ def test_a_limit_of_the_process_counts():
 
 def test_every_probing_needs_memory():
     # Six columns of 3 x 1000 unknowns, 90 vectors each.
-    one, two = (memory_needed(1000, count, rollers=False) for count in (1, 2))
-    assert two - one == 6 * 3000 * 90 * 8
+    single, two = (memory_needed(1000, count, rollers=False) for count in (1, 2))
+    assert two - single == 6 * 3000 * 90 * 8
 
 
 @pytest.mark.parametrize(("vertices", "peak"), [(642, 0.526e9), (2562, 1.47e9)])
@@ -233,6 +233,6 @@ def test_what_is_said_is_what_a_fit_of_17_probings_took(vertices, peak):
 
 
 def test_further_factors_take_a_matrix_each():
-    one, three = (memory_needed(1000, 1, n_factors=count) for count in (1, 3))
+    single, three = (memory_needed(1000, 1, n_factors=count) for count in (1, 3))
     # At least the nine doubles of each pair of vertices.
-    assert 2 * 9 * 8e6 <= three - one < 2 * 13 * 8e6
+    assert 2 * 9 * 8e6 <= three - single < 2 * 13 * 8e6

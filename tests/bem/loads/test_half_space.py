@@ -30,10 +30,10 @@ def tensor(profile, s, angle, nu):
     second, outward)."""
     e1, e2 = plane_axes()
     s, angle = np.broadcast_arrays(np.asarray(s, dtype=float), angle)
-    place = RADIUS * s[:, None] * (np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2)
+    offset = RADIUS * s[:, None] * (np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2)
     disc = PressureDisc(CENTRE, RADIUS, PROFILES[profile])
     potentials = disc_potentials(disc.profile)
-    constant, slope = disc_displacement(disc, potentials, NORMAL, CENTRE + place)
+    constant, slope = disc_displacement(disc, potentials, NORMAL, CENTRE + offset)
     frame = np.stack([e1, e2, NORMAL])
     return np.einsum("ai,nij,bj->nab", frame, constant + nu * slope, frame)
 
@@ -128,11 +128,11 @@ def test_it_is_linear_in_poisson_ratio_and_scales_with_one_over_length():
     np.testing.assert_allclose(middle, 0.5 * (low + high), rtol=1e-12)
     disc = PressureDisc(np.zeros(3), 1.0, PROFILES["smooth"])
     twice = PressureDisc(np.zeros(3), 2.0, PROFILES["smooth"])
-    place = np.array([[0.3, 0.4, 0.0]])
+    offset = np.array([[0.3, 0.4, 0.0]])
     up, potentials = np.array([0.0, 0.0, 1.0]), disc_potentials(PROFILES["smooth"])
-    one = disc_displacement(disc, potentials, up, place)
-    other = disc_displacement(twice, potentials, up, 2 * place)
-    np.testing.assert_allclose(one, 2 * other, rtol=1e-12)
+    first = disc_displacement(disc, potentials, up, offset)
+    other = disc_displacement(twice, potentials, up, 2 * offset)
+    np.testing.assert_allclose(first, 2 * other, rtol=1e-12)
 
 
 def test_a_push_along_the_surface_is_the_sum_of_cerruti_s_points():

@@ -134,8 +134,8 @@ def test_a_traction_at_shifted_points_too():
     system = held_part(mesh, np.isin(face, [0, 4]))
     triangles = np.flatnonzero(~system.surface.held)
     # A uniform normal pressure on the free part of a closed surface and its opposite cancel.
-    one = np.broadcast_to([1.0, 2.0, 3.0], (triangles.size, 6, 3)).copy()
-    there, back = (traction_column(system, triangles, sign * one).terms for sign in (1, -1))
+    uniform = np.broadcast_to([1.0, 2.0, 3.0], (triangles.size, 6, 3)).copy()
+    there, back = (traction_column(system, triangles, sign * uniform).terms for sign in (1, -1))
     assert np.array_equal(there, -back)
 
 
@@ -194,9 +194,9 @@ def test_an_incompressible_particular_solution_is_pressure_alone(block):
 
 def test_twice_the_force_is_twice_the_columns(block):
     force = np.array([1.0, -2.0, -7.0])
-    one, two = (body_force_columns(block, scale * force) for scale in (1.0, 2.0))
-    np.testing.assert_allclose(two.right.at(0.3), 2 * one.right.at(0.3), rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(two.particular, 2 * one.particular, rtol=1e-13)
+    single, two = (body_force_columns(block, scale * force) for scale in (1.0, 2.0))
+    np.testing.assert_allclose(two.right.at(0.3), 2 * single.right.at(0.3), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(two.particular, 2 * single.particular, rtol=1e-13)
 
 
 def test_particular_displacement_balances_the_force(block):

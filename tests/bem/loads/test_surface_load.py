@@ -61,10 +61,10 @@ def fields_by_point(cube, load):
     return out
 
 
-@pytest.mark.parametrize(("radius", "place"), PLACES)
+@pytest.mark.parametrize(("radius", "spot"), PLACES)
 @pytest.mark.parametrize("profile", TOTAL)
-def test_points_of_a_round_patch(cube, profile, radius, place):
-    centre, tolerance = np.array([*place, 1.0]), TOLERANCE[profile]
+def test_points_of_a_round_patch(cube, profile, radius, spot):
+    centre, tolerance = np.array([*spot, 1.0]), TOLERANCE[profile]
     points = load_points(cube.surface, load_of(cube, profile, centre, radius))
     np.testing.assert_allclose(points.weight.sum(), 1, rtol=1e-12)
     np.testing.assert_allclose(points.total, radius**2 * TOTAL[profile], rtol=tolerance)
@@ -84,9 +84,9 @@ def test_at_the_vertex_in_the_middle_of_a_patch(cube, profile):
     np.testing.assert_allclose(fields[middle], [half, half, 0, 0, 0, 0], atol=tolerance)
 
 
-@pytest.mark.parametrize(("radius", "place"), PLACES)
-def test_uniform_patch_seen_from_every_vertex_of_its_face(cube, radius, place):
-    centre = np.array([*place, 1.0])
+@pytest.mark.parametrize(("radius", "spot"), PLACES)
+def test_uniform_patch_seen_from_every_vertex_of_its_face(cube, radius, spot):
+    centre = np.array([*spot, 1.0])
     fields = fields_by_point(cube, load_of(cube, "uniform", centre, radius))
     on_top = np.flatnonzero(cube.collocation.point[:, 2] == 1)
     s = np.linalg.norm(cube.collocation.point[on_top] - centre, axis=1) / radius
@@ -98,11 +98,11 @@ def test_uniform_patch_seen_from_every_vertex_of_its_face(cube, radius, place):
     assert (s < 0.999).sum() == {RADIUS: 5, 0.15: 1}.get(radius, 0)
 
 
-@pytest.mark.parametrize(("radius", "place"), PLACES)
+@pytest.mark.parametrize(("radius", "spot"), PLACES)
 @pytest.mark.parametrize("profile", TOTAL)
-def test_round_patches_seen_from_the_corners_around(cube, profile, radius, place):
+def test_round_patches_seen_from_the_corners_around(cube, profile, radius, spot):
     """Potentials by integrals of one patch on flat ground, whatever triangles it lies on."""
-    centre = np.array([*place, 1.0])
+    centre = np.array([*spot, 1.0])
     load = load_of(cube, profile, centre, radius)
     fields = fields_by_point(cube, load)
     near = np.linalg.norm(cube.collocation.point - centre, axis=1) < 0.2

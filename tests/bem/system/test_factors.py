@@ -198,13 +198,13 @@ def held_at_low(mesh, axis, share):
 
 def test_single_precision_is_good_to_a_hundred_thousandth(for_small_bodies):
     system, right = held_at_low(sphere(2), 2, 0.2)
-    single, double = (CentredSystem(system, NU, single=each) for each in (True, False))
+    single, double = (CentredSystem(system, NU, single=in_single) for in_single in (True, False))
     assert single.factorised.lu.dtype == np.float32
     assert single.slope.flux.dtype == np.float32
-    found, wanted = (solve(each.factorised, right) for each in (single, double))
+    found, wanted = (solve(centred.factorised, right) for centred in (single, double))
     assert found.dtype == float
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5 * np.abs(wanted).max())
-    changed, change = (each.slope.apply(wanted) for each in (single, double))
+    changed, change = (centred.slope.apply(wanted) for centred in (single, double))
     assert changed.dtype == float
     # Sums of some thousand products, each to 6e-8.
     np.testing.assert_allclose(changed, change, rtol=0, atol=1e-5 * np.abs(change).max())
@@ -218,10 +218,12 @@ def test_rollers_are_eliminated_in_single_precision(for_small_bodies):
     upwards = np.tile(np.diag([0.0, 0.0, 1.0]), (low.size, 1, 1))
     system = boundary_system(make_surface(mesh, low, directions=upwards))
     right = face_columns(system, np.arange(4)).at(NU)
-    single, double = (CentredSystem(system, NU, single=each).factorised for each in (True, False))
+    single, double = (
+        CentredSystem(system, NU, single=in_single).factorised for in_single in (True, False)
+    )
     assert single.elimination is not None
     assert single.lu.dtype == np.float32
-    found, wanted = (solve(each, right) for each in (single, double))
+    found, wanted = (solve(factorised, right) for factorised in (single, double))
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5 * np.abs(wanted).max())
 
 
@@ -270,9 +272,9 @@ def test_factors_are_read_by_the_next_system_of_the_same_body(ball, rolls, tmp_p
     vector = np.random.default_rng(0).normal(size=(first.system.size, 3))
     moved = matrix_and_slope(first.system, 0.3)[1].apply(vector)
     solved = solve(factorise(first.system, NU), moved)
-    for one in (first, again):
-        np.testing.assert_array_equal(one.slope.apply(vector), moved)
-        np.testing.assert_array_equal(solve(one.factorised, moved), solved)
+    for centred in (first, again):
+        np.testing.assert_array_equal(centred.slope.apply(vector), moved)
+        np.testing.assert_array_equal(solve(centred.factorised, moved), solved)
     assert len(list(tmp_path.iterdir())) == 1
 
 

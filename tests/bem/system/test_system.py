@@ -171,11 +171,11 @@ def test_shifted_points_lie_in_held_faces_near_their_vertex():
     surface, _, collocation = bounded([0, 2, 4])
     inside = collocation.vertex < 0
     assert surface.held[collocation.triangle[inside]].all()
-    place = closest_points(surface.mesh, collocation.point[inside])
+    closest = closest_points(surface.mesh, collocation.point[inside])
     # On the surface up to round-off, and off every edge so that the polar coordinates work.
-    assert place.distance.max() < 1e-15
-    assert np.array_equal(place.triangle, collocation.triangle[inside])
-    np.testing.assert_allclose(place.barycentric, collocation.barycentric[inside], atol=1e-12)
+    assert closest.distance.max() < 1e-15
+    assert np.array_equal(closest.triangle, collocation.triangle[inside])
+    np.testing.assert_allclose(closest.barycentric, collocation.barycentric[inside], atol=1e-12)
     # One point for each of the three faces at the common corner.
     corner = np.linalg.norm(collocation.point[inside], axis=1) < 0.25 * np.sqrt(2) / CELLS
     assert corner.sum() == 3

@@ -143,14 +143,14 @@ def test_a_tool_on_an_object_that_sags() -> None:
     light = replace(session, probings=(touched,))
     heavy = replace(light, density=1000.0, gravity=np.array([0.0, 0.1, -0.1]), gravity_at_rest=True)
     without, found = (
-        strain_corrections(make_finite_body(each, coarser=2.0), MaterialConstants(SHEAR, NU))[0]
-        for each in (light, heavy)
+        strain_corrections(make_finite_body(given, coarser=2.0), MaterialConstants(SHEAR, NU))[0]
+        for given in (light, heavy)
     )
     # The weight strains it by a ten thousandth, and turns the skin by twice as much.
     change = np.abs(found.value - without.value).max()
     assert 0.0 < change < 3e-3 * np.abs(without.value).max()
-    for own, other in zip(found.slope, without.slope, strict=True):
-        assert np.linalg.norm(own - other) < 5e-3 * np.linalg.norm(other)
+    for slope, other in zip(found.slope, without.slope, strict=True):
+        assert np.linalg.norm(slope - other) < 5e-3 * np.linalg.norm(other)
 
 
 def test_what_presses_alike_is_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -209,8 +209,8 @@ def test_stiffening_comes_out_of_several_depths() -> None:
             if law is not None:
                 nodal = solve_finite(body, times * load, law=law)
             field = replace(probing.displacement, displacement=seen @ nodal)
-            own = {"name": f"n{times}", "force": times * probing.force}
-            probings.append(replace(probing, displacement=field, **own))
+            changes = {"name": f"n{times}", "force": times * probing.force}
+            probings.append(replace(probing, displacement=field, **changes))
         return replace(session, probings=tuple(probings))
 
     linear = pressed(None)
@@ -245,29 +245,29 @@ def test_an_object_pressed_far_gives_its_constants() -> None:
     def estimate(nodal: np.ndarray, finite_strain: bool) -> Estimate:
         field = replace(probing.displacement, displacement=seen @ nodal)
         notes = (f"Of the session: {BIASED}.",)
-        one = replace(session, probings=(replace(probing, displacement=field),), notes=notes)
-        return fit_session(one, finite_strain=finite_strain).estimate
+        disturbed = replace(session, probings=(replace(probing, displacement=field),), notes=notes)
+        return fit_session(disturbed, finite_strain=finite_strain).estimate
 
     # Not the law that the correction assumes.
     nodal = solve_finite(body, load, law=SplitNeoHookean)
     truth = estimate(solve_load(body, load), False)
-    linear, finite = (estimate(nodal, one) for one in (False, True))
+    linear, finite = (estimate(nodal, is_finite) for is_finite in (False, True))
     young = truth.young_modulus.value
     ratio = truth.poisson_ratio.value
     assert abs(linear.poisson_ratio.value - ratio) > 0.01
     # The patch's middle is at no vertex of the given mesh, but of the graded one.
     depth = float(np.abs(solve_load(body, load)[:, 2]).max()) / RADIUS
-    told = re.match(r"In n the tool went in by (\d+) % of the radius", linear.notes[0])
-    assert told is not None
-    assert float(told[1]) == pytest.approx(100 * depth, rel=0.1)
+    noted = re.match(r"In n the tool went in by (\d+) % of the radius", linear.notes[0])
+    assert noted is not None
+    assert float(noted[1]) == pytest.approx(100 * depth, rel=0.1)
     # Only where it is corrected for is it no bias.
-    assert [sum(BIASED in note for note in one.notes) for one in (linear, finite)] == [1, 0]
+    assert [sum(BIASED in note for note in result.notes) for result in (linear, finite)] == [1, 0]
     # The correction has its own elements, constants settle at 0.1 % and 0.0005, and the parameter
     # of the law takes up some of what the mesh of 4 x 4 squares leaves (0.003 of nu).
     assert finite.young_modulus.value == pytest.approx(young, rel=0.005)
     assert finite.poisson_ratio.value == pytest.approx(ratio, abs=0.004)
     # Beside the linear one, the law that it is: the correction's own is none of its steps away.
-    found = {one.name: one for one in finite.probes[0].errors}
+    found = {error.name: error for error in finite.probes[0].errors}
     law = found["finite strain (in steps from one neo-Hookean law to another)"]
     assert abs(law.value) < 2.5
     assert law.prior_std == 1.0

@@ -107,8 +107,8 @@ def test_series_is_what_the_reduced_model_says(setting, nu):
 def _models_with_directions():
     gc.collect()
     # The type itself: to ask a weak reference for its class fails where its object has gone.
-    models = [one for one in gc.get_objects() if type(one) is ReducedModel]
-    return sum(len(one.directions) > 0 for one in models)
+    models = [item for item in gc.get_objects() if type(item) is ReducedModel]
+    return sum(len(model.directions) > 0 for model in models)
 
 
 @pytest.mark.slow

@@ -49,11 +49,11 @@ def session(*supports, points=None, moved=None, contact=None, force=(0.0, 0.0, -
         points = rng.uniform(0.1, 0.9, (120, 3)) * SIZE
         points[:60, 0], points[60:, 1] = 0.0, SIZE[1]
     moved = shortened(points) if moved is None else moved(points)
-    place = closest_points(MESH, points)
-    field = DisplacementField(points, moved, np.full_like(moved, 1e-6), None, place, "n.csv")
+    surface = closest_points(MESH, points)
+    field = DisplacementField(points, moved, np.full_like(moved, 1e-6), None, surface, "n.csv")
     contact = contact or Contact(MIDDLE[TOP].mean(axis=0), None, "uniform", TOP)
     probing = Probing("n", contact, np.array(force), None, None, None, field, None, **more)
-    held = np.sort(np.concatenate([one.triangles for one in supports]))
+    held = np.sort(np.concatenate([support.triangles for support in supports]))
     return Session(
         "block", Path("block"), MESH, held, (probing,), None, None, None, (), supports=supports,
         errors=EXACT,

@@ -92,22 +92,22 @@ def test_a_pose_takes_the_field_of_the_vertices() -> None:
     moved = _predicted(probe, probe.force)
     np.testing.assert_allclose(found[:-3, 0], moved[:-3], rtol=1e-12)
     assert not found[-3:].any()
-    assert [one.name for one in pose.parameters] == [
+    assert [parameter.name for parameter in pose.parameters] == [
         f"shift of the object along {axis}" for axis in "xyz"
     ]
 
 
 def test_a_contact_elsewhere_is_told_to_third_order() -> None:
     """Half as far, an eighth of the error: slope and curvature are both right."""
-    probe, place = _probes(tip=True)[0], np.array([1.4, -0.8])
+    probe, steps = _probes(tip=True)[0], np.array([1.4, -0.8])
     rows = np.arange(3 * len(probe.position))
     missed = []
     for std in (2e-4, 1e-4):
         error = contact_error_of(probe, std)
-        found = _columns(error, probe)[rows] @ place
-        bend = 0.5 * (error.curvature(_terms(probe))[rows] @ place) @ place / SHEAR
+        found = _columns(error, probe)[rows] @ steps
+        bend = 0.5 * (error.curvature(_terms(probe))[rows] @ steps) @ steps / SHEAR
         moved = MovedContact(probe, std)
-        wanted = (moved.at(place, NU) - moved.at(np.zeros(2), NU))[rows] / SHEAR
+        wanted = (moved.at(steps, NU) - moved.at(np.zeros(2), NU))[rows] / SHEAR
         assert np.abs(bend).max() > 0.01 * np.abs(wanted).max()
         missed.append(np.linalg.norm(found + bend - wanted))
     # Terms of fourth order are a tenth of those of third at the point next to the contact.

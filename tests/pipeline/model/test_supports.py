@@ -69,7 +69,7 @@ def side_points(rng, count=60):
 
 
 def bar(probing, *supports, **more):
-    held = np.concatenate([one.triangles for one in supports])
+    held = np.concatenate([support.triangles for support in supports])
     return Session(
         "bar", Path("bar"), MESH, held, (probing,), more.pop("density", None), None, None, (),
         supports=supports, **{"errors": NO_ERRORS} | more,
@@ -222,4 +222,4 @@ def test_a_rigid_motion_can_be_given_as_numbers():
 def test_supports_are_numbered_as_the_session_counts():
     probing = pulled(np.zeros((1, 3)), side_points(np.random.default_rng(8), 1))
     supports = moving_supports(bar(probing, Support(FOOT), Support(HEAD[:1], FREE)))
-    assert [one.number for one in supports] == [2]
+    assert [support.number for support in supports] == [2]

@@ -197,7 +197,7 @@ def test_a_note_goes_with_the_motion_that_it_is_on(kept, three):
     (three / "n02_c0.png").write_bytes(b"brighter")
     found = with_motions(given, kept_motion(given, folder))
     assert found.notes == (*given.notes, "n01 is dark", "n03 is dark")
-    assert [one.displacement is None for one in found.probings] == [False, True, False]
+    assert [probing.displacement is None for probing in found.probings] == [False, True, False]
 
 
 def test_every_kind_of_note_is_kept(kept, tmp_path):
@@ -205,16 +205,16 @@ def test_every_kind_of_note_is_kept(kept, tmp_path):
     notes = MotionNotes(("a", "b"), ("c",), ("d",), ("e", "f", "g"))
     with result_folder(tmp_path / "noted", kind="fit") as folder:
         keep_motion(folder, given, {"n02": replace(motions["n02"], notes=notes)})
-    assert {name: one.notes for name, one in kept_motion(given, tmp_path / "noted").items()} == {
-        "n02": notes
-    }
+    assert {
+        name: motion.notes for name, motion in kept_motion(given, tmp_path / "noted").items()
+    } == {"n02": notes}
 
 
 def test_names_need_not_suit_an_archive(three, tmp_path):
     names = ["n 01", "n.npy", "ключ [b] \N{SNOWMAN}"]
     given = read_session(three)
     probings = tuple(
-        replace(one, name=name) for one, name in zip(given.probings, names, strict=True)
+        replace(probing, name=name) for probing, name in zip(given.probings, names, strict=True)
     )
     given = replace(given, probings=probings)
     motions = {p.name: measured_motion(given, p, seed=k) for k, p in enumerate(given.probings)}
@@ -313,8 +313,8 @@ def _assert_same(found, expected):
 def _measured(folder, result, **options):
     """The motions of a session, those that the result holds not measured."""
     session = read_session(folder)
-    kept = kept_motion(session, result, pose="given")
-    return measure_pictures(session, known=kept, pose="given", **options)
+    known = kept_motion(session, result, pose="given")
+    return measure_pictures(session, known=known, pose="given", **options)
 
 
 @pytest.mark.parametrize("name", list(PROBINGS))

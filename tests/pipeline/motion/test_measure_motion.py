@@ -83,7 +83,7 @@ class _Killed(BaseException):
 def _alive(kind: type) -> int:
     """Number of objects of a class that something holds."""
     gc.collect()
-    return sum(isinstance(each, kind) for each in gc.get_objects())
+    return sum(isinstance(item, kind) for item in gc.get_objects())
 
 
 def test_an_interrupted_measurement_goes_on_to_the_same_bytes(
@@ -188,13 +188,13 @@ def test_a_truncated_picture_fails_its_step_and_keeps_the_others(
     picture = folder / "images" / "s1_c1.png"
     picture.write_bytes(picture.read_bytes()[:40_000])
     found = measure_motion(read_session(folder), **GIVEN)
-    failed, kept = found.motions
+    failed, intact = found.motions
     assert failed.flow is None
     assert failed.failure is not None
     assert "s1" in failed.failure
     assert "s1_c1.png" in failed.failure
-    assert kept.vertices is not None
-    assert np.isfinite(kept.vertices.displacement[:, 0]).sum() > 100
+    assert intact.vertices is not None
+    assert np.isfinite(intact.vertices.displacement[:, 0]).sum() > 100
 
 
 def test_pictures_without_texture_say_where_and_how_much_is_needed(
@@ -265,8 +265,8 @@ def test_only_what_has_no_displacement_is_measured(
         vertices = VertexDisplacement(
             nothing, np.tile(1e-12 * np.eye(3), (len(nothing), 1, 1)), np.full(len(nothing), 9)
         )
-        one = MeasuredMotion("n01", "n01", True, np.zeros((1, 1)), None, vertices, None)
-        yield read_rig(session.rig), replace(one, notes=MotionNotes(pictures=("second",))), ()
+        motion = MeasuredMotion("n01", "n01", True, np.zeros((1, 1)), None, vertices, None)
+        yield read_rig(session.rig), replace(motion, notes=MotionNotes(pictures=("second",))), ()
 
     module = sys.modules[with_pictures_measured.__module__]
     monkeypatch.setattr(module, "measured_motions", measure)
@@ -317,9 +317,9 @@ def steps(begun, series):
     return first, method.follow(first[0], series[2])
 
 
-def _same(one: RangeFlow, other: RangeFlow) -> bool:
+def _same(first: RangeFlow, other: RangeFlow) -> bool:
     return all(
-        np.array_equal(getattr(one, field.name), getattr(other, field.name), equal_nan=True)
+        np.array_equal(getattr(first, field.name), getattr(other, field.name), equal_nan=True)
         for field in fields(RangeFlow)
     )
 

@@ -161,10 +161,10 @@ def test_a_wrong_bit_anywhere_in_the_structure_is_survived(tmp_path):
     savemat(path, CONTENT)
     whole = path.read_bytes()
     refused = 0
-    for place in range(128, len(whole), 3):
+    for index in range(128, len(whole), 3):
         for bit in (0, 3, 7):
             content = bytearray(whole)
-            content[place] ^= 1 << bit
+            content[index] ^= 1 << bit
             path.write_bytes(content)
             try:
                 _read(path)
@@ -178,8 +178,8 @@ def test_a_size_that_is_only_claimed_takes_no_memory(tmp_path):
     path = tmp_path / "a.mat"
     savemat(path, {"cell": np.array([1.0, 2.0], dtype=object)})
     content = bytearray(path.read_bytes())
-    place = content.index((2).to_bytes(4, "little"), 150)
-    content[place : place + 4] = (2**31 - 1).to_bytes(4, "little")
+    index = content.index((2).to_bytes(4, "little"), 150)
+    content[index : index + 4] = (2**31 - 1).to_bytes(4, "little")
     path.write_bytes(content)
     with pytest.raises(RecordError, match=r"is odd .*do not belong together.*save it again"):
         _read(path)

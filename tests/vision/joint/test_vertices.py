@@ -202,12 +202,16 @@ def _averaged(found, motion):
 
 
 def test_the_average_is_what_windows_find():
-    place = _mesh().vertices
+    vertices = _mesh().vertices
     measured = list(_measured(BUMP, (1, 2, 3)))
     # Each texture has errors of its own, 0.005 px; their mean shows what all windows share.
-    error = np.mean([one.displacement for one in measured], axis=0) - BUMP(place)
-    expected = np.mean([_averaged(one, BUMP) for one in measured], axis=0) - BUMP(place)
-    chosen = np.linalg.norm(place[:, :2], axis=1) < 0.016
+    error = np.mean([measured_one.displacement for measured_one in measured], axis=0) - BUMP(
+        vertices
+    )
+    expected = np.mean([_averaged(measured_one, BUMP) for measured_one in measured], axis=0) - BUMP(
+        vertices
+    )
+    chosen = np.linalg.norm(vertices[:, :2], axis=1) < 0.016
     chosen &= np.isfinite(error).all(axis=1) & np.isfinite(expected).all(axis=1)
     assert chosen.sum() > 150
     error, expected = error[chosen], expected[chosen]
@@ -220,7 +224,7 @@ def test_the_average_is_what_windows_find():
 
 @pytest.mark.parametrize("shape", ["affine", "quadratic"])
 def test_what_windows_follow_is_its_own_average(shape):
-    place = _mesh().vertices
+    vertices = _mesh().vertices
     (found,) = _measured(STILL, (1,), JointFlow(shape=shape))
     given = found.average.has_weights
     assert given[np.isfinite(found.displacement).all(axis=1)].mean() > 0.9
@@ -229,16 +233,18 @@ def test_what_windows_follow_is_its_own_average(shape):
         return np.cross([0.01, -0.02, 0.03], points) + np.array([1e-3, 0.0, -1e-3])
 
     # Points are seen on finer facets, 1e-7 of a window's place apart; times a turn of 0.04.
-    np.testing.assert_allclose(_averaged(found, turned)[given], turned(place)[given], atol=2e-8)
+    np.testing.assert_allclose(_averaged(found, turned)[given], turned(vertices)[given], atol=2e-8)
 
 
 @pytest.mark.slow
 def test_quadratic_windows_leave_less_of_a_bend():
-    dent, place = bump((0.0, 0.0, -1e-3), 0.007), _mesh().vertices
+    dent, vertices = bump((0.0, 0.0, -1e-3), 0.007), _mesh().vertices
 
     def bias(shape):
         (found,) = _measured(dent, (1,), JointFlow(shape=shape))
-        away = (_averaged(found, dent) - dent(place))[np.linalg.norm(place[:, :2], axis=1) < 0.016]
+        away = (_averaged(found, dent) - dent(vertices))[
+            np.linalg.norm(vertices[:, :2], axis=1) < 0.016
+        ]
         return np.sqrt(np.nanmean(away[:, 2] ** 2))
 
     assert bias("quadratic") < 0.5 * bias("affine")
@@ -252,12 +258,16 @@ def test_shifted_windows_say_nothing_of_their_average():
 def test_windows_hold_the_pixels_of_all_cameras():
     stage, mesh = example(), _mesh()
     inside = np.flatnonzero(np.linalg.norm(mesh.vertices[:, :2], axis=1) < 0.012)
-    place = mesh.vertices[inside]
-    tangent = np.tile(np.eye(3)[:2], (len(place), 1, 1))
+    position = mesh.vertices[inside]
+    tangent = np.tile(np.eye(3)[:2], (len(position), 1, 1))
     nothing = np.zeros(0, dtype=np.int64)
-    points = LocalFits(place, tangent, np.ones(len(place)), place, nothing, nothing, np.zeros(0))
-    extent = 10.0 * pixel_sizes(stage.rig.cameras[0], place)
-    windows = averaging._windows(21, stage.rig, averaging._cut(mesh, 1.5e-3, place), points, extent)
+    points = LocalFits(
+        position, tangent, np.ones(len(position)), position, nothing, nothing, np.zeros(0)
+    )
+    extent = 10.0 * pixel_sizes(stage.rig.cameras[0], position)
+    windows = averaging._windows(
+        21, stage.rig, averaging._cut(mesh, 1.5e-3, position), points, extent
+    )
     pixels = np.bincount(windows.first, windows.weight)
     # Less a piece of some 20 px: windows are narrower, so that their spread is that of pixels.
     share = pixels / (len(stage.rig.cameras) * 21**2)
@@ -286,16 +296,18 @@ def test_what_a_camera_cannot_picture_is_in_none_of_its_windows():
     count = len(_mesh().vertices)
     triangles = np.concatenate([_mesh().triangles, [[count, count + 1, count + 2]]])
     inside = np.flatnonzero(np.linalg.norm(vertices[:, :2], axis=1) < 0.012)[:20]
-    place = np.concatenate([vertices[inside], far[:1]])
-    tangent = np.tile(np.eye(3)[:2], (len(place), 1, 1))
+    position = np.concatenate([vertices[inside], far[:1]])
+    tangent = np.tile(np.eye(3)[:2], (len(position), 1, 1))
     nothing = np.zeros(0, dtype=np.int64)
-    points = LocalFits(place, tangent, np.ones(len(place)), place, nothing, nothing, np.zeros(0))
+    points = LocalFits(
+        position, tangent, np.ones(len(position)), position, nothing, nothing, np.zeros(0)
+    )
     # Each triangle in nine: few pieces make the wall, with some before the cameras, some behind.
-    pieces = averaging._cut(TriangleMesh(vertices, triangles), 0.15, place)
+    pieces = averaging._cut(TriangleMesh(vertices, triangles), 0.15, position)
     beyond = pieces.middle[pieces.middle[:, 0] > 0.1, 2]
     assert beyond.min() < 0.25
     assert beyond.max() > 0.4
-    windows = averaging._windows(21, stage.rig, pieces, points, np.full(len(place), 3e-3))
+    windows = averaging._windows(21, stage.rig, pieces, points, np.full(len(position), 3e-3))
     assert set(windows.first.tolist()) == set(range(len(inside)))
 
 
@@ -317,22 +329,22 @@ def _motion(point):
 
 def _places():
     flat = np.random.default_rng(1).uniform(-0.012, 0.012, (30, 2))
-    place = np.column_stack([flat, -(flat**2).sum(axis=1) / (2.0 * RADIUS)])
+    position = np.column_stack([flat, -(flat**2).sum(axis=1) / (2.0 * RADIUS)])
     normal = np.column_stack([flat / RADIUS, np.ones(30)])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     first = np.cross(normal, [0.0, 1.0, 0.0])
     first /= np.linalg.norm(first, axis=1)[:, None]
-    return place, np.stack([first, np.cross(normal, first)], axis=1)
+    return position, np.stack([first, np.cross(normal, first)], axis=1)
 
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_operators_give_the_coefficients_of_the_field(order):
-    scatter, (place, tangent) = _scatter(), _places()
-    field = local_field(scatter, place, tangent, reach=REACH, order=order)
-    fits = local_fits(scatter, place, tangent, reach=REACH)
+    scatter, (position, tangent) = _scatter(), _places()
+    field = local_field(scatter, position, tangent, reach=REACH, order=order)
+    fits = local_fits(scatter, position, tangent, reach=REACH)
     operators, determined = coefficient_operators(fits, order, range(3 * order))
     assert determined.all()
-    found = [(one @ scatter.displacement.ravel()).reshape(-1, 3) for one in operators]
+    found = [(operator @ scatter.displacement.ravel()).reshape(-1, 3) for operator in operators]
     # The field turns its normal by the turn itself, an operator by its first order: their square.
     turn = (5e-3 * REACH) * 5e-3
     np.testing.assert_allclose(found[0], field.displacement, atol=0.1 * turn)
@@ -345,12 +357,14 @@ def test_operators_give_the_coefficients_of_the_field(order):
 
 
 def test_rigid_motions_are_exact_on_a_curved_surface():
-    scatter, (place, tangent) = _scatter(), _places()
-    (value,), _ = coefficient_operators(local_fits(scatter, place, tangent, reach=REACH), 2, (0,))
+    scatter, (position, tangent) = _scatter(), _places()
+    (value,), _ = coefficient_operators(
+        local_fits(scatter, position, tangent, reach=REACH), 2, (0,)
+    )
     for turn in 1e3 * np.eye(3):
         moved = (value @ np.cross(turn, scatter.point).ravel()).reshape(-1, 3)
         # Heights over the tangent plane are no quadratics, but they turn along.
-        np.testing.assert_allclose(moved, np.cross(turn, place), atol=1e-7)
+        np.testing.assert_allclose(moved, np.cross(turn, position), atol=1e-7)
 
 
 def test_points_on_a_line_determine_nothing():

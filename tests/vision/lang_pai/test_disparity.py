@@ -28,10 +28,10 @@ def _views(disparity, views=TRIPLE, *, noise=0.0, seed=1):
     for k in range(1, len(views.along)):
         along, ratio, offset = views.along[k], views.ratio[k], views.offset[k]
 
-        def inverse(place, along=along, ratio=ratio, offset=offset):
-            rest = place.copy()
+        def inverse(pixel, along=along, ratio=ratio, offset=offset):
+            rest = pixel.copy()
             for _ in range(60):
-                rest[:, along] = place[:, along] - offset - ratio * disparity(rest)
+                rest[:, along] = pixel[:, along] - offset - ratio * disparity(rest)
             return rest
 
         pictures.append(texture.image(Warp(inverse)))
@@ -40,9 +40,9 @@ def _views(disparity, views=TRIPLE, *, noise=0.0, seed=1):
     return pictures
 
 
-def _slanted(place):
+def _slanted(pixel):
     """Steep: 6 px over the picture."""
-    return 6.0 + 0.05 * place[:, 0] + 0.02 * place[:, 1]
+    return 6.0 + 0.05 * pixel[:, 0] + 0.02 * pixel[:, 1]
 
 
 def _truth(disparity):
@@ -79,8 +79,8 @@ def test_it_is_the_best_sum_of_correlations_and_its_parabola():
             shift = round(shift) if abs(shift - round(shift)) < 1e-9 else shift
             move = shift * np.eye(2)[TRIPLE.along[i]]
             score[k] += [
-                window_correlation(pictures[0], place, pictures[i], place + move, 3)
-                for place in pixel
+                window_correlation(pictures[0], centre, pictures[i], centre + move, 3)
+                for centre in pixel
             ]
     top = score.argmax(axis=0)
     before, peak, after = (score[top + k, np.arange(50)] for k in (-1, 0, 1))
@@ -107,8 +107,8 @@ def test_three_cameras_are_better_than_two():
     pictures = _views(_slanted, noise=4.0)
     both = disparity_map(pictures, TRIPLE, (3.0, 14.0))
     pair = Views(*(a[:2] for a in (TRIPLE.along, TRIPLE.ratio, TRIPLE.offset)))
-    one = disparity_map(pictures[:2], pair, (3.0, 14.0))
-    off = [np.nanstd((found - _truth(_slanted))[INNER]) for found in (both, one)]
+    single = disparity_map(pictures[:2], pair, (3.0, 14.0))
+    off = [np.nanstd((found - _truth(_slanted))[INNER]) for found in (both, single)]
     assert off[0] < 0.9 * off[1]
 
 

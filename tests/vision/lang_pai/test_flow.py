@@ -46,7 +46,7 @@ def _pictures(rig, motion=(0.0, 0.0)):
     pictures = []
     for camera in rig.cameras:
         shift = np.array(motion) + FOCAL / DEPTH * camera.T_camera_object[:2, 3]
-        pictures.append(texture.image(Warp(lambda place, shift=shift: place - shift)))
+        pictures.append(texture.image(Warp(lambda pixel, shift=shift: pixel - shift)))
     return tuple(pictures)
 
 
@@ -171,7 +171,7 @@ def test_rounding_on_a_slope_is_rounding_of_depth_as_well(monkeypatch):
         return ray * (DEPTH / (ray @ [-0.4, 0.7, 1.0]))[:, None]
 
     side = [hit(half) - hit(-half) for half in 0.5 * np.eye(2)]
-    expected = sum(np.einsum("ni,nj->nij", one, one) for one in side) / 12.0
+    expected = sum(np.einsum("ni,nj->nij", ray, ray) for ray in side) / 12.0
     # Differences over a pixel against derivatives: (slope / focal length)^2.
     np.testing.assert_allclose(flow.bias[valid], expected, atol=1e-5 * PITCH**2)
 
@@ -248,8 +248,8 @@ def test_a_coarser_grid_is_a_part_of_the_finer_one_and_threads_do_not_matter():
     finally:
         numba.set_num_threads(threads)
     assert 8.5 < len(fine.pixel) / len(coarse.pixel) < 9.5
-    place = {tuple(np.rint(p).astype(int)): k for k, p in enumerate(fine.pixel)}
-    rows = [place[tuple(np.rint(p).astype(int))] for p in coarse.pixel]
+    row_of = {tuple(np.rint(p).astype(int)): k for k, p in enumerate(fine.pixel)}
+    rows = [row_of[tuple(np.rint(p).astype(int))] for p in coarse.pixel]
     np.testing.assert_array_equal(coarse.displacement, fine.displacement[rows])
     np.testing.assert_array_equal(coarse.outcome, fine.outcome[rows])
 
@@ -317,12 +317,12 @@ def _brute_vertex(point, motion, vertex):
     square = ((u[:, None] - u[None]) ** 2).sum(axis=2)
     median = np.sort(square, axis=1)[:, len(u) // 2]
     sigma = 1.4826 * (1.0 + 5.0 / (len(u) - 1)) * np.sqrt(median.min())
-    kept = np.linalg.norm(u - u[median.argmin()], axis=1) <= 3.0 * sigma
-    weight = 1.0 / (1.0 + d[kept] / 0.01)
-    mean = np.average(u[kept], axis=0, weights=weight)
+    inlier = np.linalg.norm(u - u[median.argmin()], axis=1) <= 3.0 * sigma
+    weight = 1.0 / (1.0 + d[inlier] / 0.01)
+    mean = np.average(u[inlier], axis=0, weights=weight)
     # numpy's own: reliability weights, the unbiased scatter; times the share of the mean.
-    scatter = np.cov(u[kept].T, aweights=weight)
-    return mean, scatter * (weight**2).sum() / weight.sum() ** 2, int(kept.sum())
+    scatter = np.cov(u[inlier].T, aweights=weight)
+    return mean, scatter * (weight**2).sum() / weight.sum() ** 2, int(inlier.sum())
 
 
 def test_vertices_are_the_papers_mean():
@@ -352,9 +352,9 @@ def test_the_limit_of_outliers_is_wider_where_there_are_few_motions():
     motion = 1e-4 * rng.standard_t(1.0, (1206, 3))
     triangles = np.arange(201).reshape(-1, 3)
     found = lang_pai_vertices(_flow(point, motion), vertices, triangles)
-    kept = [_brute_vertex(point, motion, vertex)[2] for vertex in vertices]
-    np.testing.assert_array_equal(found.count, kept)
-    assert {4, 5, 6} <= set(kept)
+    counts = [_brute_vertex(point, motion, vertex)[2] for vertex in vertices]
+    np.testing.assert_array_equal(found.count, counts)
+    assert {4, 5, 6} <= set(counts)
 
 
 def test_a_third_of_outliers_does_no_harm():

@@ -38,7 +38,7 @@ def _instant(motion, disparity, *, wrong=RIGHT, noise=0.0, seed=0):
             shift[VIEWS.along[c]] += VIEWS.offset[c] + VIEWS.ratio[c] * disparity
         if c == wrong[0]:
             shift += wrong[1]
-        picture = texture.image(Warp(lambda place, shift=shift: place - shift))
+        picture = texture.image(Warp(lambda pixel, shift=shift: pixel - shift))
         pictures.append(noisy(picture, noise, seed + c) if noise else picture)
     return Instant(np.stack(pictures).astype(np.float32), np.full(SHAPE, disparity))
 
@@ -140,9 +140,9 @@ def test_it_is_the_vote_that_plain_loops_hold():
 def _agree_with_loops(before, after, pixel, subset, search):
     """Compare a vote with that of plain loops; the outcomes that occurred."""
     found = _vote(before, after, pixel, subset=subset, search=search)
-    brute = [_brute_vote(before, after, place, subset // 2, search // 2) for place in pixel]
-    for k, (place, score, distance, agreed, outcome) in enumerate(brute):
-        assert found.pixel[k].tolist() == list(place)
+    brute = [_brute_vote(before, after, centre, subset // 2, search // 2) for centre in pixel]
+    for k, (voted, score, distance, agreed, outcome) in enumerate(brute):
+        assert found.pixel[k].tolist() == list(voted)
         assert found.outcome[k] == outcome
         assert found.agreed[k] == agreed
         np.testing.assert_allclose(
@@ -156,16 +156,16 @@ def _brute_vote(before, after, pixel, half, reach):
     offsets = [(x, y) for y in range(-reach, reach + 1) for x in range(-reach, reach + 1)]
     table = np.full((3, len(offsets)), np.nan)
     for k, offset in enumerate(offsets):
-        place = pixel + offset
-        end = after.disparity[place[1], place[0]]
+        target = pixel + offset
+        end = after.disparity[target[1], target[0]]
         for c in range(3 if np.isfinite(end) else 1):
             table[c, k] = window_correlation(
                 before.pictures[c].astype(float), _moved(pixel, c, start),
-                after.pictures[c].astype(float), _moved(place, c, end), half,
+                after.pictures[c].astype(float), _moved(target, c, end), half,
             )  # fmt: skip
     best = np.nanargmax(table.sum(axis=0))
-    own = np.nanargmax(table, axis=1)
-    away = np.array([np.subtract(offsets[k], offsets[best]) for k in own])
+    best_of_camera = np.nanargmax(table, axis=1)
+    away = np.array([np.subtract(offsets[k], offsets[best]) for k in best_of_camera])
     agreed = int((np.abs(away).max(axis=1) <= 1).sum())
     outcome = Outcome.VALID if agreed == 3 else Outcome.REPROJECTION
     if table[:, best].mean() < 0.0:
@@ -232,12 +232,12 @@ def _pictures(seed=0):
     return rng.uniform(0.0, 255.0, (2, *ROWS_COLUMNS))
 
 
-def correlation(one, two, a, p, b, q, *, window=7, along=COLUMNS):
+def correlation(first_picture, two, a, p, b, q, *, window=7, along=COLUMNS):
     """What the vote correlates, at places `p` and `q` beyond the pixels `a` and `b`; NaN: none."""
     half, found = window // 2, []
     first, second = np.empty(window**2), np.empty(window**2)
     for (ca, ra), pa, (cb, rb), qb in zip(a, p, b, q, strict=True):
-        known = window_kernel(one, ca, ra, float(pa), along, half, first) == VALID
+        known = window_kernel(first_picture, ca, ra, float(pa), along, half, first) == VALID
         known &= _interpolate(two, cb, rb, float(qb), along, half, second)
         scale = _normalise(second) if known else np.nan
         if not np.isnan(scale):
@@ -258,21 +258,21 @@ def _window(grey, column, row):
     return grey[row - HALF : row + HALF + 1, column - HALF : column + HALF + 1]
 
 
-def _corr(one, column_a, row_a, two, column_b, row_b):
+def _corr(first_picture, column_a, row_a, two, column_b, row_b):
     """I_corr of equation 6."""
-    a, b = _window(one, column_a, row_a), _window(two, column_b, row_b)
+    a, b = _window(first_picture, column_a, row_a), _window(two, column_b, row_b)
     return ((a - a.mean()) * (b - b.mean())).sum()
 
 
-def _equation_6(one, two, a, p, b, q, *, printed=False):
+def _equation_6(first_picture, two, a, p, b, q, *, printed=False):
     """The paper's equation, from correlations at whole pixels; `printed`: with its misprint."""
     (ca, ra), (cb, rb) = a, b
     second = cb if printed else cb + 1
     cross = (
-        (1 - p) * (1 - q) * _corr(one, ca, ra, two, cb, rb)
-        + (1 - p) * q * _corr(one, ca, ra, two, second, rb)
-        + p * (1 - q) * _corr(one, ca + 1, ra, two, cb, rb)
-        + p * q * _corr(one, ca + 1, ra, two, cb + 1, rb)
+        (1 - p) * (1 - q) * _corr(first_picture, ca, ra, two, cb, rb)
+        + (1 - p) * q * _corr(first_picture, ca, ra, two, second, rb)
+        + p * (1 - q) * _corr(first_picture, ca + 1, ra, two, cb, rb)
+        + p * q * _corr(first_picture, ca + 1, ra, two, cb + 1, rb)
     )
 
     def own(grey, column, row, share):
@@ -283,22 +283,25 @@ def _equation_6(one, two, a, p, b, q, *, printed=False):
             + share * share * _corr(grey, column + 1, row, grey, column + 1, row)
         )
 
-    size = np.sqrt(cross**2 / own(one, ca, ra, p) / own(two, cb, rb, q))
+    size = np.sqrt(cross**2 / own(first_picture, ca, ra, p) / own(two, cb, rb, q))
     return np.sign(cross) * size
 
 
 @pytest.mark.slow
 def test_it_is_equation_6():
-    one, two = _pictures()
+    first_picture, two = _pictures()
     a, p = _places(60, 1)
     b, q = _places(60, 2)
-    score = correlation(one, two, a, p, b, q, window=7)
-    literal = [_equation_6(one, two, *rest) for rest in zip(a, p, b, q, strict=True)]
+    score = correlation(first_picture, two, a, p, b, q, window=7)
+    literal = [_equation_6(first_picture, two, *rest) for rest in zip(a, p, b, q, strict=True)]
     # Products of 8-bit greys summed over 49 pixels: 1e7 times double precision.
     np.testing.assert_allclose(score, literal, atol=1e-12)
     assert np.ptp(score) > 0.5
     # The equation as printed is another one: where q is 0 they meet, elsewhere not.
-    printed = [_equation_6(one, two, *rest, printed=True) for rest in zip(a, p, b, q, strict=True)]
+    printed = [
+        _equation_6(first_picture, two, *rest, printed=True)
+        for rest in zip(a, p, b, q, strict=True)
+    ]
     assert abs(printed[0] - score[0]) < 1e-12
     assert np.median(np.abs(np.array(printed[2:]) - score[2:])) > 0.01
 
@@ -306,13 +309,13 @@ def test_it_is_equation_6():
 @pytest.mark.parametrize("along", [COLUMNS, ROWS])
 @pytest.mark.parametrize("window", [3, 7, 9])
 def test_it_is_the_correlation_of_interpolated_windows(along, window):
-    one, two = _pictures(3)
+    first_picture, two = _pictures(3)
     rng = np.random.default_rng(4)
     half = window // 2
     high = np.array([ROWS_COLUMNS[1], ROWS_COLUMNS[0]]) - half - 1
     a, b = rng.integers(half, high, (2, 40, 2))
     p, q = rng.uniform(0.0, 1.0, (2, 40))
-    score = correlation(one, two, a, p, b, q, window=window, along=along)
+    score = correlation(first_picture, two, a, p, b, q, window=window, along=along)
 
     def interpolated(grey, pixel, share):
         further = np.roll(grey, -1, axis=1 - along)
@@ -321,18 +324,18 @@ def test_it_is_the_correlation_of_interpolated_windows(along, window):
         return mixed[row - half : row + half + 1, column - half : column + half + 1].ravel()
 
     direct = [
-        np.corrcoef(interpolated(one, *x), interpolated(two, *y))[0, 1]
+        np.corrcoef(interpolated(first_picture, *x), interpolated(two, *y))[0, 1]
         for x, y in zip(zip(a, p, strict=True), zip(b, q, strict=True), strict=True)
     ]
     np.testing.assert_allclose(score, direct, atol=1e-12)
 
 
 def test_a_window_matches_itself_whatever_the_lighting_and_not_its_negative():
-    one, _ = _pictures(5)
+    picture, _ = _pictures(5)
     a, p = _places(20, 6)
-    brighter = correlation(one, 2.5 * one - 40.0, a, p, a, p, window=7)
+    brighter = correlation(picture, 2.5 * picture - 40.0, a, p, a, p, window=7)
     np.testing.assert_allclose(brighter, 1.0, atol=1e-12)
-    negative = correlation(one, 255.0 - one, a, p, a, p, window=7)
+    negative = correlation(picture, 255.0 - picture, a, p, a, p, window=7)
     np.testing.assert_allclose(negative, -1.0, atol=1e-12)
 
 
@@ -350,7 +353,7 @@ def _ends(along, fraction):
 @pytest.mark.parametrize("along", [COLUMNS, ROWS])
 @pytest.mark.parametrize("fraction", [0.0, 0.4])
 def test_windows_that_leave_the_picture_are_unknown(along, fraction):
-    one, two = _pictures(7)
+    first_picture, two = _pictures(7)
     inside, outside = _ends(along, fraction)
     middle = np.array([15, 12])
     for places, known in ((inside, True), (outside, False)):
@@ -358,22 +361,22 @@ def test_windows_that_leave_the_picture_are_unknown(along, fraction):
         here = np.broadcast_to(middle, places.shape).copy()
         none = np.zeros(len(places))
         for score in (
-            correlation(one, two, places, share, here, none, window=7, along=along),
-            correlation(one, two, here, none, places, share, window=7, along=along),
+            correlation(first_picture, two, places, share, here, none, window=7, along=along),
+            correlation(first_picture, two, here, none, places, share, window=7, along=along),
         ):
             assert np.array_equal(np.isfinite(score), np.full(len(places), known))
 
 
 def test_unknown_greys_and_windows_without_contrast_have_no_correlation():
-    one, two = _pictures(8)
-    one[10, 14] = np.nan
+    picture, two = _pictures(8)
+    picture[10, 14] = np.nan
     # 0.1 has no exact double: rounding must not pass for contrast.
     two[:, 20:] = 100.1
     column = np.array([9, 10, 11, 17, 18])
     pixel = np.stack([column, np.full(5, 10)], axis=1)
     for share, unknown in ((0.0, [11, 17]), (0.5, [10, 11, 17])):
         shares = np.full(5, share)
-        score = correlation(one, one, pixel, shares, pixel, shares, window=7)
+        score = correlation(picture, picture, pixel, shares, pixel, shares, window=7)
         assert column[np.isnan(score)].tolist() == unknown
     flat = np.array([[23, 10], [22, 10]])
     some = correlation(two, two, flat, np.array([0.3, 0.3]), flat, np.array([0.0, 0.0]), window=7)

@@ -159,13 +159,13 @@ def test_blank_pictures_have_none():
 def test_only_clear_mutual_choices_match():
     rng = np.random.default_rng(0)
     words = np.rint(rng.uniform(0.0, 100.0, size=(6, 128))).astype(np.float32)
-    place = rng.uniform(0.0, 100.0, size=(6, 2))
-    first = Features(place, words)
+    pixel = rng.uniform(0.0, 100.0, size=(6, 2))
+    first = Features(pixel, words)
     # The third feature occurs twice, the fifth and sixth not at all.
     twice = words[2] + np.rint(rng.normal(size=128)).astype(np.float32)
     second = Features(
-        np.vstack([place[:4] + 5.0, [[1.0, 1.0]]]), np.vstack([words[:4] + 1.0, [twice]])
+        np.vstack([pixel[:4] + 5.0, [[1.0, 1.0]]]), np.vstack([words[:4] + 1.0, [twice]])
     )
     found = match_features(first, second)
-    np.testing.assert_array_equal(found.point, place[[0, 1, 3]])
-    np.testing.assert_array_equal(found.moved, place[[0, 1, 3]] + 5.0)
+    np.testing.assert_array_equal(found.point, pixel[[0, 1, 3]])
+    np.testing.assert_array_equal(found.moved, pixel[[0, 1, 3]] + 5.0)

@@ -52,14 +52,14 @@ def test_quadratics_on_a_plane_are_exact_with_their_derivatives():
         a, b = x / 5e-3, y / 5e-3
         return np.stack([a**0, a, b, a * a, a * b, b * b], axis=1) @ c
 
-    place = np.column_stack(
+    position = np.column_stack(
         [np.random.default_rng(1).uniform(-0.012, 0.012, (40, 2)), np.zeros(40)]
     )
     found = local_field(
-        _scatter(point, pixel, field(*point[:, :2].T)), place, _tangents(place), reach=REACH
+        _scatter(point, pixel, field(*point[:, :2].T)), position, _tangents(position), reach=REACH
     )
-    x, y = place[:, :2].T / 5e-3
-    np.testing.assert_allclose(found.displacement, field(*place[:, :2].T), atol=1e-14)
+    x, y = position[:, :2].T / 5e-3
+    np.testing.assert_allclose(found.displacement, field(*position[:, :2].T), atol=1e-14)
     first = (c[1] + 2.0 * x[:, None] * c[3] + y[:, None] * c[4]) / 5e-3
     second = (c[2] + x[:, None] * c[4] + 2.0 * y[:, None] * c[5]) / 5e-3
     np.testing.assert_allclose(found.gradient, np.stack([first, second], axis=1), atol=1e-11)
@@ -120,16 +120,16 @@ def test_covariance_with_windows_that_share_pixels(order):
     n, draws = 11, 150
     pixel = _grid(n)
     point = _surface(pixel)
-    place = np.array([[0.0, 0.0, 0.0], [0.0021, -0.0008, 0.0], [0.0075, 0.0, 0.0],
+    position = np.array([[0.0, 0.0, 0.0], [0.0021, -0.0008, 0.0], [0.0075, 0.0, 0.0],
                       [0.0072, 0.0072, 0.0], [0.0081, 0.0, 0.0]])  # fmt: skip
     scale = SIGMA * np.array([1.0, 1.0, 3.0])
     noise = np.stack([_correlated(n, seed, draws) for seed in range(3)], axis=2) * scale
     values, claims = [], []
-    for one in noise:
+    for drawn in noise:
         found = local_field(
-            _scatter(point, pixel, one),
-            place,
-            _tangents(place),
+            _scatter(point, pixel, drawn),
+            position,
+            _tangents(position),
             reach=1.6 * 10 * PITCH,
             order=order,
         )
@@ -153,11 +153,13 @@ def test_places_whose_windows_overlap_err_together():
     pixel = _grid(n)
     point = _surface(pixel)
     along = np.array([0.0, 7.0, 14.0, 21.0, 42.0]) - 20.0
-    place = np.column_stack([along * PITCH, along * PITCH * 0.3, np.zeros(5)])
+    position = np.column_stack([along * PITCH, along * PITCH * 0.3, np.zeros(5)])
     noise = SIGMA * np.stack([_correlated(n, seed, draws) for seed in range(3)], axis=2)
     drawn = [
-        local_field(_scatter(point, pixel, one), place, _tangents(place), reach=1.2 * 10 * PITCH)
-        for one in noise
+        local_field(
+            _scatter(point, pixel, moved), position, _tangents(position), reach=1.2 * 10 * PITCH
+        )
+        for moved in noise
     ]
     value = np.array([field.displacement for field in drawn])[..., :2]
     square = np.sqrt((value**2).sum(axis=(0, 2)))
@@ -174,9 +176,9 @@ def test_places_whose_windows_overlap_err_together():
 def test_undetermined_places_are_correlated_with_none():
     pixel = _grid()
     point = _surface(pixel)
-    place = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1e-3, 0.0, 0.0]])
+    position = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1e-3, 0.0, 0.0]])
     scatter = _scatter(point, pixel, np.zeros_like(point))
-    field = local_field(scatter, place, _tangents(place), reach=REACH)
+    field = local_field(scatter, position, _tangents(position), reach=REACH)
     np.testing.assert_array_equal(noise_correlation(scatter, field).pair, [[0, 2]])
 
 
@@ -186,9 +188,9 @@ def test_displacements_that_share_nothing_average_out():
     point = _surface(pixel)
     draws = np.random.default_rng(5).normal(0.0, SIGMA, (200, len(point), 3))
     claims, values = [], []
-    for one in draws:
+    for drawn in draws:
         scatter = Scatter(
-            point, pixel, one, np.tile(SIGMA**2 * np.eye(3), (len(point), 1, 1)),
+            point, pixel, drawn, np.tile(SIGMA**2 * np.eye(3), (len(point), 1, 1)),
             np.zeros((len(point), 3, 3)), 1,
         )  # fmt: skip
         found = local_field(scatter, np.zeros((1, 3)), _tangents(np.zeros((1, 3))), reach=REACH)
@@ -204,10 +206,10 @@ def test_bias_that_all_share_is_not_averaged_away():
     pixel = _grid()
     point = _surface(pixel)
     zero = np.zeros_like(point)
-    place = np.zeros((1, 3))
-    plain = local_field(_scatter(point, pixel, zero), place, _tangents(place), reach=REACH)
+    position = np.zeros((1, 3))
+    plain = local_field(_scatter(point, pixel, zero), position, _tangents(position), reach=REACH)
     other = local_field(
-        _scatter(point, pixel, zero, bias=5e-6), place, _tangents(place), reach=REACH
+        _scatter(point, pixel, zero, bias=5e-6), position, _tangents(position), reach=REACH
     )
     np.testing.assert_allclose(
         other.covariance - plain.covariance, 25e-12 * np.eye(3)[None], atol=1e-18
@@ -226,10 +228,12 @@ def test_outliers_are_not_followed():
     wrong = rng.random(len(point)) < 0.15
     dirty[wrong] += 30.0 * SIGMA * rng.normal(size=(wrong.sum(), 3)) * [1.0, 1.0, 3.0]
     inner = (np.abs(point[:, :2]) < 0.012).all(axis=1)
-    place = point[inner]
+    position = point[inner]
     errors = []
     for values in (clean, dirty):
-        found = local_field(_scatter(point, pixel, values), place, _tangents(place), reach=REACH)
+        found = local_field(
+            _scatter(point, pixel, values), position, _tangents(position), reach=REACH
+        )
         errors.append(np.sqrt(((found.displacement - truth[inner]) ** 2).mean()))
         sigma = np.sqrt(np.einsum("nii->ni", found.covariance))
         assert np.abs((found.displacement - truth[inner]) / sigma).max() < 6.0
@@ -261,15 +265,18 @@ def test_too_few_displacements_give_nothing():
     assert none.count[0] == 0
     assert np.isnan(none.displacement).all()
     assert np.isnan(none.covariance).all()
-    for count, told in ((6, False), (7, True)):
+    for count, is_determined in ((6, False), (7, True)):
         keep = np.argsort((point**2).sum(axis=1))[:count]
-        place = np.zeros((1, 3))
+        position = np.zeros((1, 3))
         found = local_field(
-            _scatter(point[keep], pixel[keep], zero[keep]), place, _tangents(place), reach=REACH
+            _scatter(point[keep], pixel[keep], zero[keep]),
+            position,
+            _tangents(position),
+            reach=REACH,
         )
         assert found.count[0] == count
         # Seven of the nearest nine do not lie on a conic, so they fix a quadratic.
-        assert np.isfinite(found.displacement).all() == told
+        assert np.isfinite(found.displacement).all() == is_determined
     empty = local_field(_scatter(point[:0], pixel[:0], zero[:0]), far, _tangents(far), reach=REACH)
     assert np.isnan(empty.displacement).all()
 

@@ -114,12 +114,12 @@ def test_fewer_than_three_neighbours_say_nothing(count):
     valid = np.zeros(len(point), dtype=bool)
     valid[[112, 113, 111, 97, 127][:count]] = True
     found = _predicted(point, tangent, displacement, gradient, valid)
-    told = np.isfinite(found.displacement).all(axis=1)
-    np.testing.assert_array_equal(told, np.isfinite(found.scatter))
-    np.testing.assert_array_equal(told, np.isfinite(found.gradient).all(axis=(1, 2)))
+    has_prediction = np.isfinite(found.displacement).all(axis=1)
+    np.testing.assert_array_equal(has_prediction, np.isfinite(found.scatter))
+    np.testing.assert_array_equal(has_prediction, np.isfinite(found.gradient).all(axis=(1, 2)))
     others = np.linalg.norm(point[:, None] - point[valid], axis=2)
     expected = ((others < REACH) & (others > 0.0)).sum(axis=1) >= 3
-    np.testing.assert_array_equal(told, expected)
+    np.testing.assert_array_equal(has_prediction, expected)
 
 
 def test_median_around_counts_the_point_and_its_valid_neighbours():
@@ -130,9 +130,9 @@ def test_median_around_counts_the_point_and_its_valid_neighbours():
     reach = 1.6e-3
     found = median_around(point, value, valid, reach=reach)
     apart = np.linalg.norm(point[:, None] - point, axis=2)
-    for i, one in enumerate(found):
+    for i, median in enumerate(found):
         group = value[(apart[i] < reach) & valid]
-        assert one == (np.median(group) if len(group) else value[i]) or np.isnan(one)
+        assert median == (np.median(group) if len(group) else value[i]) or np.isnan(median)
     assert np.isfinite(found[valid]).all()
 
 

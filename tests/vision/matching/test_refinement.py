@@ -75,8 +75,8 @@ def _whole(scene, motion, rig):
     rows, columns = scene.pictures[0].grey.shape
     keep = np.ones(len(scene.point), dtype=bool)
     for camera in rig.cameras:
-        for place in (scene.point, scene.point + motion(scene.point)):
-            x, y = projected(camera, place).T
+        for position in (scene.point, scene.point + motion(scene.point)):
+            x, y = projected(camera, position).T
             keep &= (x > 13.0) & (x < columns - 14.0) & (y > 13.0) & (y < rows - 14.0)
     return keep
 
@@ -289,9 +289,9 @@ def test_a_camera_that_slipped_is_identified_by_what_it_alone_would_add(still):
     matrix = np.einsum("cnai,cnaj->nij", slope, slope)
     mean = np.linalg.solve(matrix, np.einsum("cnai,cna->ni", slope, word)[..., None])[..., 0]
     expected = word - np.einsum("cnai,ni->cna", slope, mean)
-    own = np.moveaxis(found.own_step[keep], 1, 0)
+    own_step = np.moveaxis(found.own_step[keep], 1, 0)
     # Textures weigh the directions, by a quarter or so.
-    assert np.sqrt(((own - expected) ** 2).mean()) < 0.25 * np.sqrt((expected**2).mean())
+    assert np.sqrt(((own_step - expected) ** 2).mean()) < 0.25 * np.sqrt((expected**2).mean())
     shift = (found.displacement - plain.displacement)[keep]
     assert np.sqrt(((shift - mean) ** 2).mean()) < 0.25 * np.sqrt((mean**2).mean())
 
@@ -426,8 +426,8 @@ def test_each_reason_for_nothing(still):
     ):
         assert np.isnan(value[lost].reshape(lost.sum(), -1)).all()
     assert np.isfinite(found.motion[found.good]).all()
-    one = Found(still, views, start, iterations=1)
-    assert not one.good.any()
+    stopped = Found(still, views, start, iterations=1)
+    assert not stopped.good.any()
     away = Found(still, views, _start(still, motion), reach=0.05)
     assert away.good.mean() < 0.02
     assert (away.outcome[good] == Outcome.LOST).any()
@@ -465,7 +465,7 @@ def test_stripes_say_nothing_along_them():
         100.0 + 50.0 * np.sin(example().rest_points(camera, grid, MOTIONS["still"])[:, 0] / 5e-4)
         for camera in example().rig.cameras
     ]
-    stripes = [one.reshape(SHAPE).astype(np.float32) for one in stripes]
+    stripes = [stripe.reshape(SHAPE).astype(np.float32) for stripe in stripes]
     scene = _scene(stripes)
     found = Found(scene, stripes, np.zeros((len(scene.point), 6, 3)))
     assert np.isin(found.outcome, range(5)).all()

@@ -25,8 +25,8 @@ def _pair(count: int, lens: tuple[float, ...], roll: float = 0.0):
 
 
 def _truth(stage, pixel, other):
-    def match(place):
-        space = stage.points(stage.rest_points(stage.rig.cameras[0], place, STILL))
+    def match(first_pixel):
+        space = stage.points(stage.rest_points(stage.rig.cameras[0], first_pixel, STILL))
         return projected(stage.rig.cameras[other], space)
 
     gradient = np.stack([match(pixel + step) - match(pixel - step) for step in np.eye(2)], axis=2)

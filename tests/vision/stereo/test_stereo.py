@@ -129,9 +129,9 @@ def test_a_camera_that_shows_something_else_drops_out():
     np.testing.assert_array_equal(_stereo(rig, blank).point, two.point)
     # Another texture, matched by chance nowhere that the neighbours would confirm.
     strange = [*views[:2], np.ascontiguousarray(views[2][::-1, ::-1])]
-    kept = _stereo(rig, strange)
-    height, _ = _above(kept)
-    assert len(kept.pixel) >= 0.98 * len(two.pixel)
+    remaining = _stereo(rig, strange)
+    height, _ = _above(remaining)
+    assert len(remaining.pixel) >= 0.98 * len(two.pixel)
     assert np.sqrt(np.mean(height**2)) < 2e-5
 
 
@@ -303,9 +303,9 @@ def test_matches_of_another_program_on_a_real_specimen(shared_data):
     assert len(left) > 12
     seen = project(rig.cameras[1], stereo.point)
     error = []
-    for pixel, place, rows in zip(left, right, near, strict=True):
+    for pixel, partner, rows in zip(left, right, near, strict=True):
         plane = np.column_stack([np.ones(9), stereo.pixel[rows] - pixel])
-        error.append(np.linalg.lstsq(plane, seen[rows], rcond=None)[0][0] - place)
+        error.append(np.linalg.lstsq(plane, seen[rows], rcond=None)[0][0] - partner)
     # Along the rows, which are nearly the epipolar lines, the two programs' noise; across, half of
     # the 0.1 px by which this calibration misses.
     assert np.median(np.abs(error), axis=0)[0] < 0.015

@@ -430,10 +430,10 @@ def test_pictures_that_change_places_give_minus_the_motion(rest):
 
 def test_result_does_not_depend_on_the_start(rest, moved):
     truth = WARPS["shift"].displacement(PLANAR_POINTS)
-    one = _match(rest, moved["shift"], _start(truth, 1))
-    two = _match(rest, moved["shift"], _start(truth, 2))
+    first = _match(rest, moved["shift"], _start(truth, 1))
+    second = _match(rest, moved["shift"], _start(truth, 2))
     # The last step, 5e-4 px, is far longer than what is left after it.
-    np.testing.assert_allclose(one.displacement, two.displacement, atol=1e-4)
+    np.testing.assert_allclose(first.displacement, second.displacement, atol=1e-4)
 
 
 def test_windows_without_contrast_or_room_are_not_found(rest, moved):
@@ -485,10 +485,10 @@ def test_windows_that_come_into_the_picture_are_not_found(rest):
     """What lies beyond the edge at rest is not known, wherever it goes."""
     step = np.array([[2.0, 1.0]])
     second = TEXTURE.image(affine(np.eye(2), (2.0, 1.0), CENTRE))
-    for place in ([9.0, 95.0], [130.0, 9.0]):
-        assert not _match(rest, second, step, points=np.array([place])).converged.any()
-    for place in ([250.0, 95.0], [130.0, 180.0]):
-        assert not _match(second, rest, -step, points=np.array([place])).converged.any()
+    for pixel in ([9.0, 95.0], [130.0, 9.0]):
+        assert not _match(rest, second, step, points=np.array([pixel])).converged.any()
+    for pixel in ([250.0, 95.0], [130.0, 180.0]):
+        assert not _match(second, rest, -step, points=np.array([pixel])).converged.any()
     inside = np.array([[10.0, 95.0], [130.0, 10.0]])
     assert _match(rest, second, np.repeat(step, 2, axis=0), points=inside).converged.all()
 
