@@ -70,7 +70,7 @@ def presses(name: str, mesh: TriangleMesh) -> dict[float, list[Press]]:
     modulus = 2.0 * SHEAR_MODULUS / (1.0 - shape.poisson_ratio)
     # Hertz' force for the circle on a plane.
     force = 4.0 / 3.0 * modulus * RADIUS**3 / BALL
-    found: dict[float, list[Press]] = {SLIDES: [], STICKS: []}
+    by_friction: dict[float, list[Press]] = {SLIDES: [], STICKS: []}
     for spot in contacts(mesh, shape):
         ball, glued = (
             Tip(tool, spot.point - 2.0 * BALL * spot.inward, spot.inward)
@@ -82,8 +82,8 @@ def presses(name: str, mesh: TriangleMesh) -> dict[float, list[Press]]:
         sticking = press(truth.body, glued, depths)[-1]
         for friction, pressed in ((SLIDES, sliding), (STICKS, sticking)):
             moved = truth.at(pressed.displacement, mesh.vertices)
-            found[friction].append(replace(pressed, displacement=moved))
-    return found
+            by_friction[friction].append(replace(pressed, displacement=moved))
+    return by_friction
 
 
 def session(
@@ -117,14 +117,14 @@ def main() -> None:
     for name in sys.argv[1:] or USUAL:
         shape = SHAPES[name]
         mesh, truth = shape.make(shape.edge), constants(shape)
-        found = presses(name, mesh)
+        by_friction = presses(name, mesh)
         for friction, assumed in product((SLIDES, STICKS), repeat=2):
-            touched = ", ".join(f"{pressed.radius / BALL:.2f}" for pressed in found[friction])
+            touched = ", ".join(f"{pressed.radius / BALL:.2f}" for pressed in by_friction[friction])
             print(
                 f"{name:10s} {_WORDS[friction]}, told {_WORDS[assumed]}: circles of {touched} radii"
             )
             for known, (errors, noise) in _KNOWN.items():
-                measured = session(name, mesh, found[friction], assumed, noise)
+                measured = session(name, mesh, by_friction[friction], assumed, noise)
                 estimate = fit_session(replace(measured, errors=errors)).estimate
                 holds = ", ".join(
                     "holds" if is_held else "misses" for is_held in held(estimate, truth)

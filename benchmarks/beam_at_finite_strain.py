@@ -79,8 +79,8 @@ def _run(text: str, steps: int) -> list[Points]:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "beam.inp").write_text(text, encoding="ascii")
         subprocess.run(["ccx", "beam"], cwd=folder, check=True, capture_output=True)
-        found = (Path(folder) / "beam.dat").read_text(encoding="ascii")
-    parts = re.split(r"displacements \(vx.*\n", found)[1:]
+        printed = (Path(folder) / "beam.dat").read_text(encoding="ascii")
+    parts = re.split(r"displacements \(vx.*\n", printed)[1:]
     if len(parts) < steps:
         raise SystemExit("CalculiX found no equilibrium")
     return [
@@ -104,11 +104,11 @@ def main() -> None:
             start = time.perf_counter()
             weight = np.array([0.0, 0.0, -GRAVITY]) if sags else None
             of = replace(session, probings=tuple(probings), gravity=weight, gravity_at_rest=True)
-            found = fit_session(of, finite_strain=finite_strain).estimate
-            young = found.young_modulus
+            estimate = fit_session(of, finite_strain=finite_strain).estimate
+            young = estimate.young_modulus
             print(
                 f"C2 / C1 {stiffening:g}, {'sags' if sags else 'weightless'},"
-                f" {'finite' if finite_strain else 'small'} strain: {found.status.value},"
+                f" {'finite' if finite_strain else 'small'} strain: {estimate.status.value},"
                 f" E {young.value / 1e3:.1f} kPa, {100 * (young.value / YOUNG - 1):+.1f} %, 95 %"
                 f" {young.ci95[0] / 1e3:.0f} to {young.ci95[1] / 1e3:.0f};"
                 f" {time.perf_counter() - start:.0f} s",

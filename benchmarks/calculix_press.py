@@ -256,11 +256,11 @@ def run(
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "press.inp").write_text(text, encoding="ascii")
         done = subprocess.run([program, "press"], cwd=folder, capture_output=True, text=True)
-        found = (Path(folder) / "press.dat").read_text(encoding="ascii")
-    if found.count("total force") < depths:
+        printed = (Path(folder) / "press.dat").read_text(encoding="ascii")
+    if printed.count("total force") < depths:
         raise SystemExit("CalculiX found no equilibrium:\n" + done.stdout[-2000:])
     moved, forces = [], []
-    for part in re.split(r"\n(?= displacements \(vx)", found)[1:]:
+    for part in re.split(r"\n(?= displacements \(vx)", printed)[1:]:
         rows, total = part.split("total force")
         table = np.array([line.split() for line in rows.splitlines()[2:] if len(line.split()) == 4])
         nodal = np.zeros((count, 3))

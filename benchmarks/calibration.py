@@ -66,9 +66,9 @@ def _truth(seed: int) -> tuple[Bundle, np.random.Generator]:
     return truth, rng
 
 
-def _run(truth: Bundle, found: Sightings) -> Run:
+def _run(truth: Bundle, boards: Sightings) -> Run:
     """A calibration of sightings against the truth, in all its unknowns."""
-    made = calibrate(found, [BOARD])
+    made = calibrate(boards, [BOARD])
     used = [int(name) for name in made.sightings.views]
     true = Bundle(truth.intrinsics, truth.camera, truth.view[used])
     error = bundle_errors(made.adjusted.bundle, true)

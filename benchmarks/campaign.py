@@ -92,10 +92,10 @@ def _against_serial(items: tuple[CampaignItem, ...], folder: Path) -> list[Figur
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         process.submit(_one_after_the_other, items[0], folder / "warm").result()
         start, used = time.perf_counter(), process.submit(time.process_time).result()
-        found = list(process.map(_one_after_the_other, items, repeat(folder / "serial")))
+        results = list(process.map(_one_after_the_other, items, repeat(folder / "serial")))
         alone = time.perf_counter() - start
         used_alone = process.submit(time.process_time).result() - used
-    serial = {item.name: files for item, files in zip(items, found, strict=True)}
+    serial = {item.name: files for item, files in zip(items, results, strict=True)}
     with started_engine(None, 2) as workers, ExitStack() as stack:
         address = workers.client.scheduler.address
         stack.enter_context(dask.config.set(_certificates(workers.client.security)))

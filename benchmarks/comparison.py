@@ -48,8 +48,8 @@ Answer = Float[np.ndarray, "constants 3"]
 
 def palpate(given: Session, _: Measured) -> Answer:
     """What `palpate fit` says."""
-    found = fit_session(given).estimate
-    return np.array([[a.value, *a.ci95] for a in (found.young_modulus, found.poisson_ratio)])
+    estimate = fit_session(given).estimate
+    return np.array([[a.value, *a.ci95] for a in (estimate.young_modulus, estimate.poisson_ratio)])
 
 
 def finite_elements(given: Session, _: Measured) -> Answer:
@@ -182,7 +182,7 @@ def row(name: str, body: Measured, seed: int) -> dict[str, str | int]:
 
 def lines(rows: Sequence[dict[str, str]]) -> list[str]:
     """Lines of the table in docs/comparison.md."""
-    found = []
+    table_rows = []
     for key in dict.fromkeys((result["body"], result["method"]) for result in rows):
         matching = [result for result in rows if (result["body"], result["method"]) == key]
         cells = [*key, f"{np.median([float(result['seconds']) for result in matching]):.2g}"]
@@ -199,8 +199,8 @@ def lines(rows: Sequence[dict[str, str]]) -> list[str]:
             cells += [
                 f"{sum(int(result[f'{what} held']) for result in matching)} of {len(matching)}"
             ]
-        found.append(f"| {' | '.join(cells)} |")
-    return found
+        table_rows.append(f"| {' | '.join(cells)} |")
+    return table_rows
 
 
 def main() -> None:
@@ -217,8 +217,8 @@ def main() -> None:
         for body in bodies:
             for name in METHODS:
                 for seed in range(seeds):
-                    writer.writerow(found := row(name, body, seed))
-                    print(found, flush=True)
+                    writer.writerow(answer := row(name, body, seed))
+                    print(answer, flush=True)
                     file.flush()
     with TABLE.open(newline="", encoding="utf-8") as file:
         print("\n".join(lines(list(csv.DictReader(file)))))

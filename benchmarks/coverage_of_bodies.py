@@ -262,19 +262,19 @@ def main() -> None:
             f"truth extrapolated by {100 * body.own:.2f} %, its steps by {body.left:.2f} each"
         )
         print(f"{'':10s} clean                 {errors_of(clean, body.truth)}", flush=True)
-        found = []
+        holding = []
         for seed in range(count):
             noisy = session(body, ErrorPriors(), NOISE, seed)
             fitted = fit_session(noisy, cache=folder / "integrals", material=Material.AUTO)
             estimate = fitted.estimate
             uneven += estimate.status is Status.HETEROGENEOUS
-            found.append(held(estimate, body.truth))
+            holding.append(held(estimate, body.truth))
             print(
                 f"{'':10s} session {seed:2d}            {errors_of(estimate, body.truth)}",
                 flush=True,
             )
-        every += found
-        print(f"{'':10s} of {count}: {counts(found)}", flush=True)
+        every += holding
+        print(f"{'':10s} of {count}: {counts(holding)}", flush=True)
     print(
         f"of {len(every)} sessions intervals hold: {counts(every)}; called heterogeneous: {uneven}"
     )

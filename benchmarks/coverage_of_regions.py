@@ -91,10 +91,10 @@ def main() -> None:
     every: list[Row] = []
     for name in given.body:
         for kind in given.kind:
-            body, found = measured(name, kind, given.folder), list[Row]()
+            body, rows = measured(name, kind, given.folder), list[Row]()
             for seed in range(given.sessions):
-                found.append(fitted(body, kind, seed, given.folder))
-                row = found[-1]
+                rows.append(fitted(body, kind, seed, given.folder))
+                row = rows[-1]
                 print(
                     f"{name} {kind}: session {seed}, log G off by {row['off']:+.3f}"
                     f" (+- {row['sigma']:.3f}) {row['status']} {row['seconds']:.0f} s",
@@ -103,9 +103,9 @@ def main() -> None:
                 with (given.folder / "regions.csv").open("w", newline="") as file:
                     writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
                     writer.writeheader()
-                    writer.writerows([*every, *found])
-            every += found
-            print(f"{name} {kind}: {summary(found)}", flush=True)
+                    writer.writerows([*every, *rows])
+            every += rows
+            print(f"{name} {kind}: {summary(rows)}", flush=True)
     print(f"all: {summary(every)}")
 
 

@@ -72,8 +72,8 @@ def main() -> None:
                     f"{errors_of(estimate, body.truth)}",
                     flush=True,
                 )
-    for known, found in every.items():
-        print(f"springs {known}: of {len(found)} sessions intervals hold {counts(found)}")
+    for known, holding in every.items():
+        print(f"springs {known}: of {len(holding)} sessions intervals hold {counts(holding)}")
 
 
 if __name__ == "__main__":

@@ -124,12 +124,12 @@ def main() -> None:
         print(f"{name}: truth extrapolated by {100 * body.own:.2f} %")
         for variant, given in variants(body):
             estimate = fit_session(given, cache=folder / "integrals").estimate
-            found = outcome(body, variant, estimate)
-            outcomes.append(found)
-            marks = "".join("." if holds else "x" for holds in found.held)
+            result = outcome(body, variant, estimate)
+            outcomes.append(result)
+            marks = "".join("." if holds else "x" for holds in result.held)
             print(
                 f"  {variant:24s} {errors_of(estimate, body.truth)} {marks}"
-                f" {found.widest:.3f} {found.freed}",
+                f" {result.widest:.3f} {result.freed}",
                 flush=True,
             )
     print(_summary(outcomes))
@@ -138,7 +138,7 @@ def main() -> None:
 def _summary(every: list[Outcome]) -> str:
     outcomes = [result for result in every if WRONG not in result.variant]
     wrong = [result for result in every if WRONG in result.variant]
-    found = sum(result.freed.count("'") == 2 and WRONG in result.freed for result in wrong)
+    freed = sum(result.freed.count("'") == 2 and WRONG in result.freed for result in wrong)
     young = 100 * np.abs([result.young for result in outcomes])
     poisson = np.abs([result.poisson for result in outcomes])
     intervals = np.mean([result.held for result in outcomes])
@@ -148,7 +148,7 @@ def _summary(every: list[Outcome]) -> str:
         f" {np.median(young):.2f} %; nu by {poisson.max():.4f}, {np.quantile(poisson, 0.95):.4f},"
         f" {np.median(poisson):.4f}; intervals hold {100 * intervals:.1f} %; forces left out in"
         f" {sum(bool(result.freed) for result in outcomes)}; widest posterior over prior"
-        f" {max(result.widest for result in outcomes):.4f}. Of {len(wrong)} wrong forces {found}"
+        f" {max(result.widest for result in outcomes):.4f}. Of {len(wrong)} wrong forces {freed}"
         " were found and no other, E off by at most"
         f" {100 * max(abs(result.young) for result in wrong):.2f} %"
     )

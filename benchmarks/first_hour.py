@@ -54,8 +54,8 @@ def _way(what: str, commands: tuple[str, ...], folder: Path, truth: str) -> Figu
     """Minutes of all commands of a way, with an empty cache of kernels."""
     cache = folder.parent / f"{folder.name} cache"
     took = [seconds(command.split(), cache, folder) for command in commands]
-    found = read_estimate(folder / "result" / "estimate.json")
-    young, ratio = found.young_modulus, found.poisson_ratio
+    estimate = read_estimate(folder / "result" / "estimate.json")
+    young, ratio = estimate.young_modulus, estimate.poisson_ratio
     stiff, within = 1e-3 * np.array([young.value, *young.ci95]), ratio.ci95
     times = ", ".join(
         f"{command.split()[0]} {time:.0f} s" for command, time in zip(commands, took, strict=True)

@@ -61,12 +61,12 @@ def _ball() -> _Compared:
 
 def _compared(session: Session, truth: list[np.ndarray]) -> _Compared:
     """Both methods over the same instants, at the same vertices."""
-    found = {
+    motions = {
         name: measure_motion(session, method=FLOW_METHODS[name](), pose="given").motions
         for name in ("joint", "lang-pai")
     }
     ours, theirs, moved = [], [], []
-    for joint, paper, true in zip(found["joint"], found["lang-pai"], truth, strict=True):
+    for joint, paper, true in zip(motions["joint"], motions["lang-pai"], truth, strict=True):
         errors = [flow.vertices.displacement - true for flow in (joint, paper)]
         both = np.isfinite(errors).all(axis=(0, 2))
         ours.append(errors[0][both])

@@ -177,12 +177,12 @@ def pushes(mesh: TriangleMesh, shape: Shape, count: int, seed: int) -> list[tupl
     while len(chosen) < count:
         away = np.minimum(away, np.linalg.norm(mesh.vertices - mesh.vertices[chosen[-1]], axis=1))
         chosen.append(int(free[away[free].argmax()]))
-    order, found = rng.permutation(chosen), []
+    order, places = rng.permutation(chosen), []
     for vertex in order:
         inward = -normals[(mesh.triangles == vertex).any(axis=1)].mean(axis=0)
         force = inward / np.linalg.norm(inward) + 0.4 * rng.normal(size=3)
-        found.append((mesh.vertices[vertex], force / np.linalg.norm(force)))
-    return found
+        places.append((mesh.vertices[vertex], force / np.linalg.norm(force)))
+    return places
 
 
 def true_motion(

@@ -65,10 +65,10 @@ KINDS = (
 def off(rig: Rig, truth: Rig, points: Points) -> float:
     """What a rig leaves of points that it sees as the true one does, rms [m]."""
     pixels = np.stack([project(camera, points) for camera in truth.cameras])
-    found = triangulate(rig, pixels, 1.0).point
-    centre, middle = points.mean(axis=0), found.mean(axis=0)
-    turn, _ = Rotation.align_vectors(points - centre, found - middle)
-    rest = points - centre - turn.apply(found - middle)
+    triangulated = triangulate(rig, pixels, 1.0).point
+    centre, middle = points.mean(axis=0), triangulated.mean(axis=0)
+    turn, _ = Rotation.align_vectors(points - centre, triangulated - middle)
+    rest = points - centre - turn.apply(triangulated - middle)
     return float(np.sqrt((rest**2).sum(axis=1).mean()))
 
 
@@ -84,8 +84,8 @@ def seen_by_all(rig: Rig, mesh: TriangleMesh) -> Points:
     """Points of the surface that the first camera sees, thinned."""
     camera = rig.cameras[0]
     columns, rows = camera.size or (640, 480)
-    found = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
-    return found.point[found.triangle >= 0][::50]
+    surface = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
+    return surface.point[surface.triangle >= 0][::50]
 
 
 def wrong_rig(truth: Rig, kind: Wrong, seed: int) -> tuple[Rig, RigCovariance | None]:

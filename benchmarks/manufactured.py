@@ -180,8 +180,8 @@ def solved(
     right = traction_column(system, free, given / field.shear_modulus, quadrature=quadrature)
     right = right + support_columns(system, known[:, :, None])
     nu = field.poisson_ratio
-    found = solve(factorise(system, nu), right.at(nu))[:, 0]
-    state = sorted_state(system, found, field.shear_modulus)
+    solution = solve(factorise(system, nu), right.at(nu))[:, 0]
+    state = sorted_state(system, solution, field.shear_modulus)
     vertices, sides = system.unknowns.free_vertices, system.unknowns.held_sides
     of_side = np.zeros(surface.traction.n_nodes, dtype=np.int64)
     of_side[surface.sides.corner.ravel()] = np.repeat(np.arange(surface.held.size), 3)

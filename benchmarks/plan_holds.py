@@ -57,19 +57,19 @@ def bench_figures(file: Path, repeats: int) -> list[Figure]:
     repeats : int               how often it is measured
     """
     config = read_lab_config(file)
-    found = kept(config, repeats)
-    estimates = [result.estimate for result in found.results]
+    measurement = kept(config, repeats)
+    estimates = [result.estimate for result in measurement.results]
     seen = [
         planned.seen / measured.observed
         for estimate in estimates
-        for planned, measured in zip(found.plan.probings, estimate.probes, strict=True)
+        for planned, measured in zip(measurement.plan.probings, estimate.probes, strict=True)
     ]
     note = f"{len(seen)} probings, {min(seen):.2f} to {max(seen):.2f}"
     ratios = {"vertices seen": (float(np.mean(seen)), note)}
     for name, short in (("young_modulus", "E"), ("poisson_ratio", "nu")):
-        planned = found.plan.precision[name]
+        planned = measurement.plan.precision[name]
         fitted = np.array([getattr(estimate, name).std for estimate in estimates])
-        bound = _rms(np.array([precision[name] for precision in found.bounds]))
+        bound = _rms(np.array([precision[name] for precision in measurement.bounds]))
         note = (
             f"planned {planned:.3g}; {len(fitted)} fits: {fitted.min():.3g} to {fitted.max():.3g};"
             f" over what Fisher's information says of their own points {planned / bound:.2f}"

@@ -123,13 +123,13 @@ def coverage_figure(rows: Sequence[Row]) -> Figure:
     -------
     Figure
     """
-    found = [held for row in rows if (held := _held(row))]
+    shares = [held for row in rows if (held := _held(row))]
     figure = Figure(figsize=(6.0, 3.6), layout="constrained")
     axes = figure.add_subplot()
     axes.axvline(_NOMINAL, color=ORANGE, linewidth=1.0)
     axes.annotate("nominal", (_NOMINAL, 1.01), xycoords=("data", "axes fraction"), ha="center",
                   color=ORANGE)  # fmt: skip
-    _draw_groups(axes, found)
+    _draw_groups(axes, shares)
     axes.tick_params(axis="y", length=0)
     axes.set_xlim(right=100.8)
     axes.xaxis.set_major_locator(MultipleLocator(5.0))
@@ -140,15 +140,15 @@ def coverage_figure(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def _draw_groups(axes: Axes, found: Sequence[_Held]) -> None:
+def _draw_groups(axes: Axes, shares: Sequence[_Held]) -> None:
     """A dot and its bar in every row, rows of a group below its name."""
-    groups = dict.fromkeys(held.group for held in found)
+    groups = dict.fromkeys(held.group for held in shares)
     ticks: dict[float, str] = {}
     height = 0.0
     for group in groups:
         height += _GAP
         ticks[height] = group
-        for held in found:
+        for held in shares:
             if held.group == group:
                 height += 1.0
                 ticks[height] = held.label

@@ -167,8 +167,8 @@ def gaussian_process(
 
     std, bounds = np.log(value.std()), [(-6.0, 2.0), (np.log(2e-3), np.log(0.2)), (-7.0, 1.0)]
     starts = [np.array([std, np.log(length), std - 1.5]) for length in (5e-3, 15e-3, 40e-3)]
-    found = [minimize(loss, start, method="L-BFGS-B", bounds=bounds) for start in starts]
-    theta = min(found, key=lambda solution: solution.fun).x
+    solutions = [minimize(loss, start, method="L-BFGS-B", bounds=bounds) for start in starts]
+    theta = min(solutions, key=lambda solution: solution.fun).x
     factor, cross = factored(theta), covariance(others, point, theta)
     left = np.exp(2.0 * theta[0]) - np.einsum("mn,nm->m", cross, cho_solve(factor, cross.T))
     return mean + cross @ cho_solve(factor, value - mean), np.sqrt(np.maximum(left, 0.0))

@@ -113,11 +113,11 @@ def main() -> None:
             (", weightless", tip, None),
             (", axis left behind", behind, sag_of_body),
         ):
-            found = press_finite(body, ball, abs(force), law=SplitNeoHookean, sag=rest)
+            result = press_finite(body, ball, abs(force), law=SplitNeoHookean, sag=rest)
             before = 0.0 if rest is None else rest.displacement
-            apart = look @ (found.displacement - before) - (both - sag)
+            apart = look @ (result.displacement - before) - (both - sag)
             off = np.linalg.norm(apart) / np.linalg.norm(both - sag)
-            own_depth = found.travel + BALL
+            own_depth = result.travel + BALL
             print(
                 f"{force:.3f} N, {1e3 * depth:g} mm deep{name}: off by {off:.2%},"
                 f" {1e3 * own_depth:.3f} mm deep"

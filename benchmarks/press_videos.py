@@ -56,8 +56,8 @@ def kept_press(config: LabConfig, k: int, file: Path) -> SolvedPress:
         )  # fmt: skip
         write_bytes(file, pickle.dumps(solve_press(config, tip, k, FILM)))
         print(f"{file} is solved", flush=True)
-    found: SolvedPress = pickle.loads(file.read_bytes())
-    return found
+    press: SolvedPress = pickle.loads(file.read_bytes())
+    return press
 
 
 def make_recording(

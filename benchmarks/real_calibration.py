@@ -29,13 +29,13 @@ def real_figures(folder: Path) -> list[Figure]:
 
 def _chessboards(camera: Path) -> tuple[Calibration, Figure]:
     """What is left of the corners, over what OpenCV's own calibration of them leaves."""
-    found = find_boards(find_pictures(camera), [_BOARD])
-    result = calibrate(found, [_BOARD])
+    sightings = find_boards(find_pictures(camera), [_BOARD])
+    result = calibrate(sightings, [_BOARD])
     corners = result.corners
     views = range(len(result.sightings.views))
     points = [corners.point[corners.view == v].astype(np.float32) for v in views]
     pixels = [corners.pixel[corners.view == v].astype(np.float32) for v in views]
-    rms, *_ = cv2.calibrateCamera(points, pixels, found.sizes[0], None, None)
+    rms, *_ = cv2.calibrateCamera(points, pixels, sightings.sizes[0], None, None)
     rms_here = np.sqrt((result.adjusted.residual**2).sum(axis=1).mean())
     good = result.adjusted.good
     rms_good = np.sqrt((result.adjusted.residual[good] ** 2).sum(axis=1).mean())

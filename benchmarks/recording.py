@@ -138,12 +138,12 @@ def found_presses(folder: Path) -> tuple[Found, Recorded]:
     read, std = (np.stack([getattr(p.reading, x) for p in made.presses]) for x in ("force", "std"))
     errors = np.linalg.norm(read - truth["force"][numbers], axis=1) / size[numbers]
     claims = np.linalg.norm(std, axis=1) / size[numbers]
-    found = Found(
+    outcome = Found(
         len(made.presses), sum(held), len(size),
         max(abs(clock.offset - FILM.clock_offset) for clock in made.clocks),
         float(errors.max()), float(np.sqrt(np.mean(claims**2))), megabytes, seconds,
     )  # fmt: skip
-    return found, made
+    return outcome, made
 
 
 def found_contacts(folder: Path, made: Recorded) -> tuple[Fitted, str]:
@@ -180,26 +180,27 @@ def fitted(folder: Path) -> Fitted:
     )  # fmt: skip
 
 
-def press_figures(found: Sequence[Found]) -> list[Figure]:
+def press_figures(outcomes: Sequence[Found]) -> list[Figure]:
     """What was found of some recordings."""
-    name = f"`palpate record`, {len(found)} x ten presses"
-    every = sum(outcome.true for outcome in found)
+    name = f"`palpate record`, {len(outcomes)} x ten presses"
+    every = sum(outcome.true for outcome in outcomes)
     presses, held = (
-        sum(getattr(outcome, which) for outcome in found) for which in ("presses", "held")
+        sum(getattr(outcome, which) for outcome in outcomes) for which in ("presses", "held")
     )
     # The peak of the process: those after the first have fits before them.
-    first = found[0].megabytes
+    first = outcomes[0].megabytes
     return [
         Figure(DOOR, f"{name}: presses found", 100.0 * presses / every, "%",
                note=f"{presses} of {every}, {held} plateaus while the tool was held;"
-               f" {first:.0f} MB and {np.mean([outcome.seconds for outcome in found]):.0f} s a"
+               f" {first:.0f} MB and {np.mean([outcome.seconds for outcome in outcomes]):.0f} s a"
                " minute of three videos"),
         Figure(DOOR, f"{name}: clock of the worst camera",
-               1e3 * max(outcome.clock for outcome in found), "ms",
+               1e3 * max(outcome.clock for outcome in outcomes), "ms",
                note="the gauge's clock is 0.4 s ahead"),
-        Figure(DOOR, f"{name}: the worst force", 100 * max(outcome.force for outcome in found), "%",
+        Figure(DOOR, f"{name}: the worst force",
+               100 * max(outcome.force for outcome in outcomes), "%",
                note="claimed"
-               f" {100 * np.sqrt(np.mean([outcome.claimed**2 for outcome in found])):.3f} %"),
+               f" {100 * np.sqrt(np.mean([outcome.claimed**2 for outcome in outcomes])):.3f} %"),
     ]  # fmt: skip
 
 
@@ -254,7 +255,7 @@ def figures_of(folders: Sequence[Path]) -> list[Figure]:
     contacts, said = found_contacts(folders[0], made[0][1])
     first = fit_figures([contacts], by_hand[:1], "session of which the contacts were found")
     return [
-        *press_figures([found for found, _ in made]),
+        *press_figures([outcome for outcome, _ in made]),
         *fit_figures(recorded, by_hand, "recorded session"),
         *(replace(figure, note=f"{said}; {figure.note}") for figure in first),
     ]

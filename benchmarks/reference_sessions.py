@@ -124,16 +124,16 @@ SESSIONS: dict[str, tuple[Callable[[], Session], bool]] = {
 def constants(session: str, estimate: Estimate) -> Iterator[Frozen]:
     """What is kept of an estimate."""
     for name in NAMES:
-        found = getattr(estimate, name)
-        yield Frozen(session, name, estimate.status.value, found.value, found.std)
+        constant = getattr(estimate, name)
+        yield Frozen(session, name, estimate.status.value, constant.value, constant.std)
 
 
-def write(found: list[Frozen]) -> None:
+def write(frozen_now: list[Frozen]) -> None:
     """Freeze constants."""
     with FROZEN.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(["session", "constant", "status", "value", "std"])
-        for frozen in found:
+        for frozen in frozen_now:
             rows.writerow(
                 [
                     frozen.session,
@@ -165,11 +165,11 @@ def read() -> dict[tuple[str, str], Frozen]:
 def main() -> None:
     """Fit all sessions, then print or freeze their constants."""
     freeze = sys.argv[1:] == ["--freeze"]
-    before, found = {} if freeze else read(), list[Frozen]()
+    before, frozen_now = {} if freeze else read(), list[Frozen]()
     for name, (make, finite) in SESSIONS.items():
         estimate = fit_session(make(), finite_strain=finite).estimate
         for constant in constants(name, estimate):
-            found.append(constant)
+            frozen_now.append(constant)
             line = (
                 f"{name:34s} {constant.name:14s} {constant.status:18s}"
                 f" {constant.value:.7g} +- {constant.std:.3g}"
@@ -181,7 +181,7 @@ def main() -> None:
                 line += f"  {off:+.3f} std, width {100 * (constant.std / was.std - 1):+.1f} %{mark}"
             print(line, flush=True)
     if freeze:
-        write(found)
+        write(frozen_now)
 
 
 if __name__ == "__main__":

@@ -170,10 +170,10 @@ def pose_figures(folder: Path) -> list[Figure]:
     root = turntable(folder, "toy")
     views = read_scan(root / "unknown.toml").views
     start = time.perf_counter()
-    found = posed(views)
+    placed_views = posed(views)
     seconds = time.perf_counter() - start
     turns, shifts = [], []
-    for k, (view, placed) in enumerate(zip(views, found, strict=True)):
+    for k, (view, placed) in enumerate(zip(views, placed_views, strict=True)):
         back = Rotation.from_euler("z", -_STEP * k, degrees=True).as_matrix()
         place_true = view.points @ back.T
         turn, _ = Rotation.align_vectors(
@@ -199,12 +199,12 @@ def view_figure(folder: Path, shape: str) -> Figure:
     # a machine does; of several threads it is more than the clock's.
     for _ in range(4):
         start = time.process_time()
-        found = stereo_points(prepare_pictures(rig, pictures.grey))
+        cloud = stereo_points(prepare_pictures(rig, pictures.grey))
         seconds.append(time.process_time() - start)
     size = " x ".join(str(side) for side in rig.cameras[0].size or ())
     return Figure(
         DOOR, f"one dense view of the {shape}, {size} x 3, seconds of processors", min(seconds[1:]),
-        "s", note=f"{len(found.point)} points; least of 3, threads: {numba.get_num_threads()}",
+        "s", note=f"{len(cloud.point)} points; least of 3, threads: {numba.get_num_threads()}",
     )  # fmt: skip
 
 

@@ -149,12 +149,12 @@ def scattered(laboratory: Laboratory, seed: int) -> bool:
 def main() -> None:
     """Print the figures of each body, and what they come to together."""
     folder, count = Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 5
-    found: list[list[tuple[float, bool]]] = []
+    table: list[list[tuple[float, bool]]] = []
     holding: list[bool] = []
     for name in sys.argv[3:] or BODIES:
         body = measured_body(name, folder)
         laboratory = Laboratory(body, folder)
-        found += _width_lines(laboratory, count)
+        table += _width_lines(laboratory, count)
         priors = ErrorPriors()
         clean = laboratory.session(EXACT, priors, 0)
         beside = misplaced(clean, laboratory)
@@ -171,17 +171,17 @@ def main() -> None:
             print(f"{name:10s} {what:22s}{errors_of(estimate, body.truth)}   holds {holds}")
         holding += [scattered(laboratory, seed) for seed in range(count)]
         print(f"{name:10s} scatter: {sum(holding[-count:])} of {count} hold", flush=True)
-    print(f"together: width {_medians(found)}; scatter {sum(holding)} of {len(holding)} hold")
+    print(f"together: width {_medians(table)}; scatter {sum(holding)} of {len(holding)} hold")
 
 
 def _width_lines(laboratory: Laboratory, count: int) -> list[list[tuple[float, bool]]]:
-    found = [widths(laboratory, seed) for seed in range(count)]
-    print(f"{laboratory.body.name:10s} width {_medians(found)}", flush=True)
-    return found
+    table = [widths(laboratory, seed) for seed in range(count)]
+    print(f"{laboratory.body.name:10s} width {_medians(table)}", flush=True)
+    return table
 
 
-def _medians(found: Sequence[Sequence[tuple[float, bool]]]) -> str:
-    table = np.array(found, dtype=float)
+def _medians(rows: Sequence[Sequence[tuple[float, bool]]]) -> str:
+    table = np.array(rows, dtype=float)
     ratios, holding = np.median(table[:, :, 0], axis=0), table[:, :, 1].sum(axis=0)
     return ", ".join(
         f"{name} {ratio:.2f} ({holds:.0f} of {len(table)} hold)"

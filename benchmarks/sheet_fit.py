@@ -124,7 +124,7 @@ def repeated(count: int) -> list[Estimate]:
     rig, face = make_rig(), DeformedFace()
     clean = [[picture(camera, texture, moved) for camera in rig.cameras] for moved in (None, face)]
     session = session_of(np.array([[0.05, 0.01, SIZE[2]]]), ErrorPriors())
-    found = []
+    estimates = []
     for _ in range(count):
         begun = time.perf_counter()
         rest, loaded = (
@@ -140,14 +140,14 @@ def repeated(count: int) -> list[Estimate]:
         given = replace(given, probings=(replace(probing, force=force),))
         field = given.probings[0].displacement
         error = field.displacement - face(field.points[:, :2])
-        found.append(fit_session(given).estimate)
+        estimates.append(fit_session(given).estimate)
         rms = ", ".join(f"{value:.2f}" for value in 1e6 * np.sqrt((error**2).mean(axis=0)))
         print(
             f"{len(error)} points, rms error {rms} um; matched in {matched - begun:.0f} s, fitted"
             f" in {time.perf_counter() - matched:.0f} s",
             flush=True,
         )
-    return found
+    return estimates
 
 
 def main(count: int) -> None:
@@ -156,10 +156,10 @@ def main(count: int) -> None:
     for name, true in CONSTANTS.items():
         constants = [getattr(estimate, name) for estimate in estimates]
         held = sum(constant.ci95[0] <= true <= constant.ci95[1] for constant in constants)
-        found = ", ".join(f"{constant.value:.5g}" for constant in constants)
+        values = ", ".join(f"{constant.value:.5g}" for constant in constants)
         width = np.median([np.ptp(constant.ci95) for constant in constants])
         print(
-            f"{name}: true {true:.5g}, found {found}; median width of the interval {width:.2g},"
+            f"{name}: true {true:.5g}, found {values}; median width of the interval {width:.2g},"
             f" holds the truth in {held} of {len(constants)}"
         )
     print("status: " + ", ".join(sorted({str(estimate.status) for estimate in estimates})))

@@ -113,7 +113,7 @@ def row(tool: str, name: str, mesh: str) -> dict[str, Any]:
     session, ratio = pressed(tool, name, mesh), pressed_body(f"{tool}_{name}").poisson_ratio
     before = time.perf_counter()
     result, last, telling = fitted(session)
-    seconds, found = time.perf_counter() - before, result.estimate
+    seconds, fitted_estimate = time.perf_counter() - before, result.estimate
     stiffening = estimated_stiffening(fit(telling))
     rng, held, shown, draws = np.random.default_rng(50), np.zeros(3), 0, []
     true = SHEAR_MODULUS, ratio, MATERIALS[name]
@@ -130,8 +130,8 @@ def row(tool: str, name: str, mesh: str) -> dict[str, Any]:
     return {
         "tool": tool,
         "material": name,
-        "G off [%]": round(100 * (found.shear_modulus.value / SHEAR_MODULUS - 1), 2),
-        "nu off": round(found.poisson_ratio.value - ratio, 4),
+        "G off [%]": round(100 * (fitted_estimate.shear_modulus.value / SHEAR_MODULUS - 1), 2),
+        "nu off": round(fitted_estimate.poisson_ratio.value - ratio, 4),
         "C2/C1 told": round(stiffening.value, 3),
         "seconds": round(seconds),
         "draws": DRAWS,
