@@ -208,7 +208,8 @@ def held_out_table(predictions: Sequence[Prediction], sizes: Mapping[str, float]
     if sizes:
         caption += (
             " Errors of a probing are taken to be as large as in those fitted, over what the"
-            f" session says of them: {', '.join(f'{of} {size:.2g}' for of, size in sizes.items())}."
+            " session says of them:"
+            f" {', '.join(f'{source} {size:.2g}' for source, size in sizes.items())}."
         )
     return terminal_table("Probings held out", columns, rows, caption=caption)
 

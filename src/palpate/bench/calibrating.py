@@ -194,12 +194,12 @@ def _still_pictures(bench: Bench, questions: Questions, places: _Places) -> Pict
 
 def _shift(before: _Seen, after: _Seen) -> float:
     """How far a board has moved in the picture where it moved most [px]."""
-    shifts = []
+    distances = []
     for first, second in zip(before, after, strict=True):
         _, a, b = np.intersect1d(first.mark, second.mark, return_indices=True)
         if len(a) >= _MARKS:
-            shifts.append(np.median(np.linalg.norm(first.pixel[a] - second.pixel[b], axis=1)))
-    return float(max(shifts, default=np.inf))
+            distances.append(np.median(np.linalg.norm(first.pixel[a] - second.pixel[b], axis=1)))
+    return float(max(distances, default=np.inf))
 
 
 def _judged(places: _Places, questions: Questions) -> Calibration | None:

@@ -186,13 +186,13 @@ class Page(Questions):
     def working(self) -> Iterator[Progress]:
         """As in `Questions`."""
 
-        def report(text: str, share: float) -> None:
+        def show_progress(text: str, share: float) -> None:
             self._question.content = text_html(f"{text} ...")
             self._bar.value = 100.0 * share
 
         self._bar.value, self._bar.visible = 0.0, True
         try:
-            yield report
+            yield show_progress
         finally:
             self._question.content, self._bar.visible = "", False
 

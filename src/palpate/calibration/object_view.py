@@ -204,8 +204,8 @@ def _ties(rig: Rig, matches: Sequence[StereoMatches], *, step: int) -> Ties:
     seen[rig.reference] = False
     half = np.where(seen[..., None, None], 0.5 * noise, 0.0)
     half[rig.reference] = half.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)[:, None, None]
-    some = seen.any(axis=0)
-    return Ties(every[:, some], half[:, some])
+    visible = seen.any(axis=0)
+    return Ties(every[:, visible], half[:, visible])
 
 
 def _registered(rig: Rig, mesh: TriangleMesh, matches: StereoMatches) -> tuple[Registration, int]:

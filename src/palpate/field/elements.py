@@ -123,7 +123,7 @@ def nodal_shifts(session: Session, solid: Solid) -> Float[np.ndarray, "n3 k2"]:
     session : Session
     solid : Solid
     """
-    mesh, held, shifts = session.mesh, session.held_triangles, []
+    mesh, held, changes = session.mesh, session.held_triangles, []
     for probing in session.probings:
         contact, std = probing.contact, session.errors.contact_std(probing.name)
         patch = find_contact_patch(mesh, contact, held, name=probing.name)
@@ -136,8 +136,8 @@ def nodal_shifts(session: Session, solid: Solid) -> Float[np.ndarray, "n3 k2"]:
             )
         except InputError:
             first, second, *others = np.zeros((4, 3 * len(solid.nodes)))
-        shifts += [0.5 * (first - others[0]), 0.5 * (second - others[1])]
-    return np.stack(shifts, axis=1)
+        changes += [0.5 * (first - others[0]), 0.5 * (second - others[1])]
+    return np.stack(changes, axis=1)
 
 
 def _nodal_load(session: Session, probing: Probing, solid: Solid) -> Float[np.ndarray, " n3"]:
@@ -177,6 +177,6 @@ def nodal_load(
     position = np.einsum("nv,nva->na", barycentric, corner)
     side = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     weight = density(triangle, barycentric, position) * np.linalg.norm(side, axis=1)
-    pressed = weight > 0.0
-    share = surface_values(solid, position[pressed]).T @ weight[pressed]
+    loaded = weight > 0.0
+    share = surface_values(solid, position[loaded]).T @ weight[loaded]
     return np.outer(share / share.sum(), force).ravel()

@@ -264,8 +264,8 @@ def _by_support(
     ]
     along = [np.einsum("si,sip->sp", normals, force) for force in forces]
     every = np.einsum("sia,sik,s->kas", *forces, length / areas)
-    pressed = np.einsum("sa,sk,s->kas", *along, length / areas)
-    return np.concatenate([every, pressed], axis=2)
+    along_normal = np.einsum("sa,sk,s->kas", *along, length / areas)
+    return np.concatenate([every, along_normal], axis=2)
 
 
 def _parts(

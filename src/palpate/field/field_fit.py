@@ -145,13 +145,13 @@ def fit_field(
         return Fitted(minimum, modes.mixing_of(prior) @ minimum.theta[modes_in(minimum)], prior)
 
     start = Fitted(plain, np.zeros(modes.modes.shape[1]), FieldPrior(0.0, 0.0))
-    expansion, explained = expanded_about_best(
+    expansion, best = expanded_about_best(
         model, start, fitted, tolerance=_TOLERANCE, what="the field of the modulus",
         progress=progress,
     )  # fmt: skip
-    evidence = log_bayes_factor(explained.minimum, plain, settings)
-    observed = expansion.observations(smooth_prior(modes.mixing_of(explained.prior)))
-    return FieldFit(expansion, explained.prior, evidence, observed)
+    evidence = log_bayes_factor(best.minimum, plain, settings)
+    observed = expansion.observations(smooth_prior(modes.mixing_of(best.prior)))
+    return FieldFit(expansion, best.prior, evidence, observed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -419,24 +419,24 @@ def _changed(
 
     settlement = Settlement(prior.shear_modulus, settled) if prior.by_log_modulus.any() else None
     first = expansion.model.load.shape[1] + 2 * index
-    shifts = points.from_nodes @ expansion.change[:, first : first + 2]
-    nuisances = [_shifted(nuisance, shifts) for nuisance in probe.nuisances]
+    changes = points.from_nodes @ expansion.change[:, first : first + 2]
+    nuisances = [_shifted(nuisance, changes) for nuisance in probe.nuisances]
     return replace(
         probe, response=response, vertices=vertices, settlement=settlement,
         nuisances=(*nuisances, Nuisance(prior.parameters, effects)),
     )  # fmt: skip
 
 
-def _shifted(nuisance: Nuisance, shifts: Float[np.ndarray, "r s"]) -> Nuisance:
+def _shifted(nuisance: Nuisance, changes: Float[np.ndarray, "r s"]) -> Nuisance:
     """Errors of a contact's place with what a field changes in their effects, if that is known."""
     places = [k for k, error in enumerate(nuisance.parameters) if error.of == PLACES]
-    if not places or not shifts.size:
+    if not places or not changes.size:
         return nuisance
 
     def effects(at: ResponseTerms) -> Float[np.ndarray, "r s c p"]:
         moved = np.array(nuisance.effects(at))
         # Entry 3 of the load is 1 / G.
-        moved[:, 0, 3, places] += shifts[at.rows]
+        moved[:, 0, 3, places] += changes[at.rows]
         return moved
 
     return replace(nuisance, effects=effects)

@@ -193,12 +193,12 @@ def fit_regions(
 
     plain = joint_minimum(observations, settings)
     prior = _prior(session.regions, plain.poisson_ratio, plain.shear_modulus)
-    expansion, explained = expanded_about_best(
+    expansion, best = expanded_about_best(
         model, Fitted(plain, prior.mean, prior), fitted, tolerance=_TOLERANCE,
         what="the modulus of a region", progress=progress,
     )  # fmt: skip
-    observed = _with_cut_elements(expansion, explained.prior)
-    return RegionFit(session.regions, expansion, explained.prior, observed)
+    observed = _with_cut_elements(expansion, best.prior)
+    return RegionFit(session.regions, expansion, best.prior, observed)
 
 
 def _with_cut_elements(

@@ -247,8 +247,8 @@ def next_probings_figure(name: str, next_probings: NextProbings) -> Figure:
         draw_body(axes, view, np.isin(view.triangle, next_probings.session.held_triangles))
         _mark_places(axes, view, next_probings, gain, norm)
         title_panel(axes, title)
-    of = "predicted displacements" if PREDICTION in next_probings.now else "nu"
-    label = f"one push there narrows the interval of {of} by [%]"
+    quantity = "predicted displacements" if PREDICTION in next_probings.now else "nu"
+    label = f"one push there narrows the interval of {quantity} by [%]"
     add_colour_bar(figure, panels, _MAP, norm, label)
     held = np.isin(
         np.concatenate([surface_view.triangle for surface_view in views]),

@@ -276,7 +276,7 @@ def _record_all(
         [bench for bench, part in zip(benches, parts, strict=True) if part is None]
         for parts in known
     ]
-    fresh = distribute(measure, [(some, k) for k, some in enumerate(missing) if some])
+    fresh = distribute(measure, [(chosen, k) for k, chosen in enumerate(missing) if chosen])
     for k, name in enumerate(names):
         progress(name, k / len(names))
         now = iter(next(fresh) if missing[k] else ())

@@ -138,13 +138,13 @@ def _edges(pieces: _Pieces) -> _Edges:
     triangles = pieces.triangles
     count = np.int64(len(pieces.vertices))
     ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
-    key, first, of = np.unique(
+    key, first, edge_of = np.unique(
         (ends[..., 0] * count + ends[..., 1]).ravel(), return_index=True, return_inverse=True
     )
     pair = np.stack([key // count, key % count], axis=1)
     welded = np.sort(pieces.weld[pair], axis=1)
     _, weld = np.unique(welded[:, 0] * count + welded[:, 1], return_inverse=True)
-    return _Edges(pair, of.reshape(-1, 3), weld, first)
+    return _Edges(pair, edge_of.reshape(-1, 3), weld, first)
 
 
 def _seen_lengths(

@@ -188,9 +188,9 @@ def settled_contact(
     if tool is None:
         return contact
     local = local_surface(session.mesh, contact.point, tool.radius)
-    pressed = -float(local.normal @ force)
+    normal_force = -float(local.normal @ force)
     settled = tool_contact(
-        tool, local, pressed, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio
+        tool, local, normal_force, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio
     )
     return replace(contact, radius=settled.radius, traction=settled.traction)
 

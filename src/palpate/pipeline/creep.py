@@ -249,16 +249,16 @@ def _constant_ratio(probing: Probing, series: Series, seen: _Seen) -> str:
     (slope, _), covariance = np.polyfit(
         x, seen.change[used], 1, w=np.abs(seen.amplitude[used]), cov=True
     )
-    drift, std = -slope * x.min(), -math.sqrt(covariance[0, 0]) * x.min()
-    if abs(drift) > max(_SIGMAS * std, _LEAST_CHANGE):
+    change, std = -slope * x.min(), -math.sqrt(covariance[0, 0]) * x.min()
+    if abs(change) > max(_SIGMAS * std, _LEAST_CHANGE):
         return (
-            f"Poisson's ratio changes by {drift:+.3f} ± {std:.3f} over the hold of"
+            f"Poisson's ratio changes by {change:+.3f} ± {std:.3f} over the hold of"
             f" {probing.name!r}: the body does not only grow softer, and one function of time does"
             " not describe it."
         )
     return (
         f"Poisson's ratio is constant over the hold of {probing.name!r}: it changes by"
-        f" {drift:+.3f} ± {std:.3f}."
+        f" {change:+.3f} ± {std:.3f}."
     )
 
 
@@ -272,22 +272,22 @@ def _relaxation(
     static: Constant = getattr(estimate, name)
     rise, hold = min(series.rise for series in held), max(series.hold for series in held)
 
-    def joint(quantity: _Quantity, *, of: Constant | None) -> list[Constant]:
+    def joint(quantity: _Quantity, *, scale: Constant | None) -> list[Constant]:
         values, std = creep.logarithm(quantity)
         pairs = zip(values, creep.quantile * std, strict=True)
-        return [_constant(float(value), float(wide), of) for value, wide in pairs]
+        return [_constant(float(value), float(wide), scale) for value, wide in pairs]
 
     steps = np.arange(
         math.ceil(_PER_DECADE * math.log10(rise) - 1e-9),
         math.floor(_PER_DECADE * math.log10(hold) + 1e-9) + 1,
     )
     time = 10.0 ** (steps / _PER_DECADE)
-    curve = joint(lambda fit: fit.relaxation().at(time), of=static)
-    ends = joint(_end_values, of=static)
+    curve = joint(lambda fit: fit.relaxation().at(time), scale=static)
+    ends = joint(_end_values, scale=static)
     modulus = creep.compliance.relaxation()
-    times = joint(lambda fit: fit.relaxation().times, of=None) if creep.terms else []
+    times = joint(lambda fit: fit.relaxation().times, scale=None) if creep.terms else []
     frequency = _frequencies(rise, hold) if creep.terms else np.zeros(0)
-    lags = joint(lambda fit: fit.relaxation().loss_angle(frequency), of=None)
+    lags = joint(lambda fit: fit.relaxation().loss_angle(frequency), scale=None)
     first, last, why = _ends(creep, ends, rise, hold)
     if not known[name]:
         why.append("No modulus is determined: only ratios of the curve and times are.")
@@ -310,16 +310,16 @@ def _frequencies(rise: float, hold: float) -> Float[np.ndarray, " n"]:
     return 10.0 ** np.arange(math.ceil(ends[0] - 1e-9), math.floor(ends[1] + 1e-9) + 1)
 
 
-def _constant(value: float, wide: float, of: Constant | None) -> Constant:
+def _constant(value: float, wide: float, scale: Constant | None) -> Constant:
     """A value from its logarithm and half the width of that one's interval; as a multiple of a
     constant, with the interval of both."""
-    if of is None:
-        of = Constant(1.0, 0.0, (1.0, 1.0))
-    low, high = of.ci95
+    if scale is None:
+        scale = Constant(1.0, 0.0, (1.0, 1.0))
+    low, high = scale.ci95
     if not 0.0 < low <= high < math.inf:
-        return Constant(of.value * math.exp(value), math.nan, (math.nan, math.nan))
-    below, above = (math.hypot(wide, math.log(end / of.value)) for end in of.ci95)
-    scaled = of.value * math.exp(value)
+        return Constant(scale.value * math.exp(value), math.nan, (math.nan, math.nan))
+    below, above = (math.hypot(wide, math.log(end / scale.value)) for end in scale.ci95)
+    scaled = scale.value * math.exp(value)
     ends = scaled * math.exp(-below), scaled * math.exp(above)
     return Constant(scaled, 0.5 * (ends[1] - ends[0]) / HALF_95, ends)
 

@@ -149,9 +149,11 @@ def _fit_displacements(
     before("the given mesh", 0.0)
     refined = refined_session(session)
     # First, so that its memory is free again before the graded model is made.
-    report = part_of(before, 0.0, _GRADED, prefix="the given mesh: ")
+    stage_progress = part_of(before, 0.0, _GRADED, prefix="the given mesh: ")
     # The correction for finite strain presses a ball where it touched first, and lets it slide.
-    refined, ungraded = _on_ungraded_mesh(refined, settings, cache, not finite_strain, report)
+    refined, ungraded = _on_ungraded_mesh(
+        refined, settings, cache, not finite_strain, stage_progress
+    )
     compared = time.perf_counter()
     before("integrals over the surface", _GRADED)
     graded = graded_session(refined)
@@ -266,19 +268,19 @@ def _on_ungraded_mesh(
 ) -> tuple[Session, list[ProbeObservations]]:
     """A session with the contacts of its tools, `displaced` with the object or where they touched
     first, and its observations with the model of the mesh before grading."""
-    report = part_of(progress, 0.0, _OWN)
+    stage_progress = part_of(progress, 0.0, _OWN)
     if has_tools(session):
         session, observations = with_consistent_contacts(
             session,
             settings=settings,
             cache=cache,
             displaced=displaced,
-            progress=report,
+            progress=stage_progress,
         )
     else:
         # The model is not kept, so that its memory is free before the next model is made.
         observations = ungraded_observations(
-            session, settings=settings, cache=cache, progress=report
+            session, settings=settings, cache=cache, progress=stage_progress
         )[1]
     return session, with_mesh_steps(
         session, observations, settings=settings, cache=cache,

@@ -175,8 +175,8 @@ def _fit_with_regions(
     progress: Progress,
 ) -> tuple[FitResult, RegionFit]:
     """The fit with a modulus for every region of the session."""
-    report = part_of(progress, 0.0, _FOUND)
-    regions = fit_regions(session, observations, settings=settings, progress=report)
+    stage_progress = part_of(progress, 0.0, _FOUND)
+    regions = fit_regions(session, observations, settings=settings, progress=stage_progress)
     result = fit(regions.observations, settings=settings, progress=part_of(progress, _FOUND, 1.0))
     estimate, estimates = result.estimate, regions.estimates(result.minimum)
     if estimate.status is Status.MODEL_CONTRADICTED:
@@ -257,8 +257,8 @@ def _fit_with_cause(
     constant."""
     if cause.cause is Cause.SUPPORT:
         cause = cause.with_parts_let_go(plain.minimum, settings)
-    explained = cause.with_field(session, observations)
-    result = fit(explained, settings=settings, progress=part_of(progress, _FOUND, 1.0))
+    with_cause = cause.with_field(session, observations)
+    result = fit(with_cause, settings=settings, progress=part_of(progress, _FOUND, 1.0))
     note = (
         f"The displacements ask for {cause.cause} (log evidence {cause.log_evidence:.0f} over one"
         f" modulus; {field:.0f} for {Cause.PLACE}): {_MEANING[cause.cause]}"
@@ -309,9 +309,9 @@ def _fit_with_field(
     ------
     InputError, MeshError, NotConvergedError    as `fit_field`
     """
-    report = part_of(progress, 0.0, _FOUND)
+    stage_progress = part_of(progress, 0.0, _FOUND)
     try:
-        field = fit_field(session, observations, settings=settings, progress=report)
+        field = fit_field(session, observations, settings=settings, progress=stage_progress)
     except (MeshError, NotConvergedError, SingularSystemError) as error:
         if material is Material.FIELD:
             raise

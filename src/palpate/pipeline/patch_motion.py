@@ -453,12 +453,12 @@ def _around(
     distance = np.linalg.norm(points - patch.centre, axis=1)
     facing = unit_normals(mesh)[field.surface.triangle[measured]] @ patch.normal > 0.0
     apart = [float(np.linalg.norm(tool.centre - patch.centre)) - tool.reach for tool in pressing]
-    pressed = min(apart, default=np.inf) < patch.reach
-    reach = patch.reach if pressed else max(patch.reach, spacing)
+    is_pressed = min(apart, default=np.inf) < patch.reach
+    reach = patch.reach if is_pressed else max(patch.reach, spacing)
     if (facing & (distance <= reach)).sum() < _SURROUNDING:
         return measured[:0]
     nearer = np.ones(len(points), dtype=bool)
-    for tool in pressing if not pressed else ():
+    for tool in pressing if not is_pressed else ():
         nearer &= distance < np.linalg.norm(points - tool.centre, axis=1)
     order = np.flatnonzero(nearer)[np.argsort(distance[nearer], kind="stable")]
     count = max(_NEAREST, int((distance[order] < _REACHES * patch.reach).sum()))

@@ -156,9 +156,9 @@ def plan_measurement(
     taken = planned_pictures(
         session, [u for u, _ in moved], material=material, pictures=pictures, variant=variant
     )
-    report = part_of(progress, _PICTURES, _POINTS)
-    report("texture and light", 0.0)
-    fields = _followed(session, rig, taken, show, report)
+    stage_progress = part_of(progress, _PICTURES, _POINTS)
+    stage_progress("texture and light", 0.0)
+    fields = _followed(session, rig, taken, show, stage_progress)
     measured = _measured(session, fields, [tip for _, tip in moved])
     progress("what the points tell", _POINTS)
     information = _information(measured, material)
@@ -261,8 +261,8 @@ def plan_next(
             " without pictures are not planned)"
         )
     if fitted is None:
-        report = part_of(progress, 0.0, 0.4)
-        fitted = fit_session(session, cache=cache, material=Substance.AUTO, progress=report)
+        stage_progress = part_of(progress, 0.0, 0.4)
+        fitted = fit_session(session, cache=cache, material=Substance.AUTO, progress=stage_progress)
     session = _with_radii(session, fitted.estimate)
     radius = session.probings[0].contact.radius or 0.0
     measured = _measured_session(session, fitted.estimate)

@@ -82,12 +82,12 @@ def fit_pokes(
     progress("finite elements", 0.0)
     session = _flattened(session)
     model = make_poke_model(session)
-    report = part_of(progress, 0.0, _MODELLED)
-    regular = _regular(model, settings.poisson_range, _DEGREE, report)
+    stage_progress = part_of(progress, 0.0, _MODELLED)
+    regular = _regular(model, settings.poisson_range, _DEGREE, stage_progress)
     modelled = time.perf_counter()
     observations = _settled_observations(session, regular, settings)
-    report = part_of(progress, _MODELLED, _FITTED)
-    result, field = fit(observations, settings=settings, progress=report), None
+    stage_progress = part_of(progress, _MODELLED, _FITTED)
+    result, field = fit(observations, settings=settings, progress=stage_progress), None
     if material is not Material.HOMOGENEOUS:
         last = part_of(progress, _FITTED, 1.0)
         result, field = fit_other_causes(material, session, observations, result, settings, last)

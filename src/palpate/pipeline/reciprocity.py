@@ -152,12 +152,12 @@ def _works(
     force = np.stack([patch_force for _, patch_force, _ in rows])
     tool = force * np.array([by_tool for _, _, by_tool in rows])[:, None]
     fields = [probing.displacement for probing in probings if probing.displacement is not None]
-    pressed = [[patches[p] for p in np.flatnonzero(is_own)] for is_own in owner]
+    pressing_patches = [[patches[p] for p in np.flatnonzero(is_own)] for is_own in owner]
     motions = tuple(
         map_in_threads(
             lambda field, pressing: patch_motion(session.mesh, field, patches, pressing),
             fields,
-            pressed,
+            pressing_patches,
         )
     )
     mean = np.stack([motion.mean for motion in motions])

@@ -135,26 +135,26 @@ def find_contact(
             f"only {len(points)} points of the surface could be followed: the contact cannot be"
             " found; give `points` or `poses` in [contact]"
         )
-    pressed = _pressed_part(model.mesh, force)
-    guess = _first_guess(pressed, points, displacement, force)
+    part = _pressed_part(model.mesh, force)
+    guess = _first_guess(part, points, displacement, force)
     closest = closest_points(model.mesh, points)
     nodes = model.system.surface.displacement
     at_points = interpolation_matrix(nodes, closest.triangle, closest.barycentric)
     press = _MeasuredPress(force, radius, profile, points, displacement, at_points)
     for step in _STEPS:
         for _ in range(_MAX_MOVES):
-            ring, tangents = _ring(pressed, guess, step * radius)
+            ring, tangents = _ring(part, guess, step * radius)
             residuals = _unexplained(model, press, ring)
             best = int(residuals.argmin())
             if best == 0:
                 break
             guess = ring[best]
     shift, half_hessian = _paraboloid_minimum(step * radius * _HEXAGON, residuals)
-    position = closest_points(pressed, (guess + shift @ tangents)[None])
-    explained = 1.0 - float(residuals.min()) / float(_sum_of_squares(press, guess))
-    if explained < _MIN_EXPLAINED:
+    position = closest_points(part, (guess + shift @ tangents)[None])
+    share = 1.0 - float(residuals.min()) / float(_sum_of_squares(press, guess))
+    if share < _MIN_EXPLAINED:
         raise RecordError(
-            f"no place of the surface explains how it moved (the best one {100 * explained:.0f} %):"
+            f"no place of the surface explains how it moved (the best one {100 * share:.0f} %):"
             " the contact cannot be found; give `points` or `poses` in [contact]"
         )
     # Errors of neighbouring points are correlated: the effective number of independent points is
@@ -162,7 +162,7 @@ def find_contact(
     span = np.ptp((points - guess) @ tangents.T, axis=0)
     count = float(np.clip(span.prod() / (np.pi * radius**2), 8.0, len(points)))
     variance = float(residuals.min()) / count * np.linalg.inv(half_hessian)
-    return position.position[0], float(np.sqrt(variance.trace() / 2.0)), explained
+    return position.position[0], float(np.sqrt(variance.trace() / 2.0)), share
 
 
 def _pressed_part(mesh: TriangleMesh, force: Vector3) -> TriangleMesh:

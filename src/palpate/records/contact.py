@@ -74,16 +74,16 @@ class ToolTraction:
     @property
     def spread(self) -> float:
         """Root mean square distance of the pressure from the axis, in contact radii."""
-        pressed = self.pressure * SPREAD
-        square = np.trapezoid(pressed * SPREAD**2, _ANGLE) / np.trapezoid(pressed, _ANGLE)
+        weight = self.pressure * SPREAD
+        square = np.trapezoid(weight * SPREAD**2, _ANGLE) / np.trapezoid(weight, _ANGLE)
         return float(self.reach * np.sqrt(square))
 
     @property
     def lever(self) -> float:
         """Integral of the outward traction times the distance from the axis, over the reach and
         over the integral of the pressure [-]."""
-        pulled, pressed = self.outward * SPREAD**2, self.pressure * SPREAD
-        return float(np.trapezoid(pulled, _ANGLE) / np.trapezoid(pressed, _ANGLE))
+        pulled, weight = self.outward * SPREAD**2, self.pressure * SPREAD
+        return float(np.trapezoid(pulled, _ANGLE) / np.trapezoid(weight, _ANGLE))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -127,13 +127,13 @@ class FieldEstimate:
     @property
     def sentences(self) -> tuple[str, ...]:
         """For a reader, without full stops."""
-        what, of = "a field of moduli", "means over the body"
+        what, reference = "a field of moduli", "means over the body"
         if self.is_of_parts:
-            what, of = "round parts of another modulus", "those of the rest"
+            what, reference = "round parts of another modulus", "those of the rest"
         verdict = (
             "the modulus is not the same everywhere: the data are exp"
             f"({self.log_evidence:.0f}) times as likely with {what} as with one, and the"
-            f" constants are {of}"
+            f" constants are {reference}"
         )
         return (verdict, *(part.sentence for part in self.parts))
 

@@ -205,9 +205,9 @@ def _region(table: TomlTable, body: HeldObject) -> Region:
     if len(given) != 1:
         has = " and ".join(given) or "none"
         table.fail("", f"says where it is by {has}; give one of {', '.join(_SHAPES)}")
-    for key, of in (("thickness", "plane"), ("faces", "skin")):
-        if key in keys and given != [of]:
-            table.fail(key, f"belongs to {of}, but the region is given by {given[0]}")
+    for key, required in (("thickness", "plane"), ("faces", "skin")):
+        if key in keys and given != [required]:
+            table.fail(key, f"belongs to {required}, but the region is given by {given[0]}")
     known = [key for key in KNOWN if key in keys]
     for key in KNOWN:
         if f"{key}_std" in keys and key not in known:

@@ -375,13 +375,13 @@ def make_solid_model(
     check_edge(session.mesh, edge)
     usual = float(np.cbrt(enclosed_volume(session.mesh))) / _ALONG_BODY
 
-    def filled(longer: float, report: Progress = silent) -> Solid:
+    def filled(longer: float, stage_progress: Progress = silent) -> Solid:
         """Elements that many times as long."""
         fine = []
         if push is not None and push.radius is not None:
             fine = [(push.point, _FINE_REACH * push.radius, longer * push.radius / _ALONG_CONTACT)]
         away = longer * (usual if edge is None else edge)
-        return make_solid(session.mesh, edge=away, fine=fine, progress=report)
+        return make_solid(session.mesh, edge=away, fine=fine, progress=stage_progress)
 
     longer = 1.0 if nodes is None else _longer(filled, nodes)
     solid = filled(longer, progress)

@@ -278,8 +278,8 @@ def export_fit(
     elif form.of_solid is not None:
         # Few nodes are soon filled in: the push takes the most of the time.
         pushed = _PUSHED if nodes is None else _MOSTLY_PUSHED
-        report = part_of(progress, pushed, _FILLED)
-        model = make_solid_model(body, edge=edge, nodes=nodes, progress=report)
+        stage_progress = part_of(progress, pushed, _FILLED)
+        model = make_solid_model(body, edge=edge, nodes=nodes, progress=stage_progress)
         if nodes is not None:
             model, share = matched_to_push(model)
             body = replace(model.body, notes=(*body.notes, _few_nodes(len(model.nodes), share)))

@@ -250,9 +250,9 @@ class _ContactPotential:
     def forces_by_shift(self, at: Unknowns, shift: Float[np.ndarray, "3 k"]) -> Steps:
         """Residual forces per shift of the tip [N]."""
         penetration, normal = self.penetration(at)
-        pressed = (self.stiffness * (penetration > 0.0))[:, None] * (normal @ shift)
-        nodal = _along_normals(self.at_points, normal).T @ pressed
-        return np.vstack([nodal, -(normal @ self.tip.direction) @ pressed])
+        force = (self.stiffness * (penetration > 0.0))[:, None] * (normal @ shift)
+        nodal = _along_normals(self.at_points, normal).T @ force
+        return np.vstack([nodal, -(normal @ self.tip.direction) @ force])
 
     def penetration(self, at: Unknowns) -> tuple[PointScalars, Points]:
         """Penetration of the contact points [m], zero outside, and the tip's normals there."""

@@ -164,8 +164,8 @@ def _separator(
     _, upper, low, high = min(sides, key=lambda side: side[0])
     cut = np.zeros(len(nodes), dtype=bool)
     rows, columns = np.flatnonzero(low), np.flatnonzero(high)
-    some, others = _vertex_cover(csr_array(links[rows][:, columns]))
-    cut[rows[some]] = cut[columns[others]] = True
+    covered, others = _vertex_cover(csr_array(links[rows][:, columns]))
+    cut[rows[covered]] = cut[columns[others]] = True
     return nodes[cut], (nodes[~upper & ~cut], nodes[upper & ~cut])
 
 

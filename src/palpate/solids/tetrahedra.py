@@ -167,14 +167,14 @@ def make_solid(
     shell = _surface_points(mesh, spacing, closest_points(mesh, marked).position)
     wall = np.concatenate([_NONE, *(_surface_points(surface, spacing, _NONE) for surface in walls)])
     wall = _thinned(_well_inside(mesh, wall, spacing), spacing)
-    report = part_of(progress, 0.0, _PLACED)
-    inner = _volume_points(mesh, spacing, np.concatenate([shell, wall]), walls, report)
+    stage_progress = part_of(progress, 0.0, _PLACED)
+    inner = _volume_points(mesh, spacing, np.concatenate([shell, wall]), walls, stage_progress)
     if len(shell) < 4 or not len(inner):
         raise MeshError(
             f"an edge of {1e3 * edge:.3g} mm leaves no point inside the body; use a smaller edge"
         )
-    report = part_of(progress, _PLACED, _FILLED)
-    points, tetrahedra = _tetrahedra(mesh, shell, wall, inner, spacing, report)
+    stage_progress = part_of(progress, _PLACED, _FILLED)
+    points, tetrahedra = _tetrahedra(mesh, shell, wall, inner, spacing, stage_progress)
     return quadratic_solid(points, tetrahedra, mesh=mesh, largest=_MAX_DEVIATION * edge)
 
 

@@ -458,9 +458,9 @@ def decode_picture(content: bytes) -> np.ndarray:
     if content.startswith(_JPEG) and content.rfind(_END_OF_IMAGE) < content.rfind(_START_OF_SCAN):
         damage.insert(0, "it has no end-of-image marker")
     if damage or pixels is None:
-        said = f" ({damage[0]})" if damage else ""
+        detail = f" ({damage[0]})" if damage else ""
         raise RecordError(
-            f"is cut off or damaged, or of a kind that cannot be decoded{said}; it has"
+            f"is cut off or damaged, or of a kind that cannot be decoded{detail}; it has"
             f" {len(content)} bytes: copy or record it again"
         )
     return pixels

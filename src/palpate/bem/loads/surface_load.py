@@ -467,8 +467,8 @@ def _recompute_rows_on_patch(
     pairs = np.unique(np.stack([number, triangle]), axis=1)
     beside = 1.0 - np.bincount(pairs[0], of_triangle[pairs[1]])
     total = beside + np.bincount(number, weight.sum(axis=1))
-    resolved = np.abs(total - 1.0) < _LARGEST_ERROR
-    fields[rows[resolved]] = recomputed[resolved] / total[resolved, None]
+    accurate = np.abs(total - 1.0) < _LARGEST_ERROR
+    fields[rows[accurate]] = recomputed[accurate] / total[accurate, None]
 
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)

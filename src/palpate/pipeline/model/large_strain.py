@@ -169,22 +169,25 @@ def fit_at_finite_strain(
     NotConvergedError               no equilibrium, or the constants do not converge
     """
     used = _Used(observations, settings)
-    body, report = make_finite_body(session, coarser=_COARSER), part_of(progress, 0.0, _ROUGH)
-    rough, coarse = _converged(body, used, linear, report, stiffens=True)
-    report = part_of(progress, _ROUGH, _OTHER)
+    body = make_finite_body(session, coarser=_COARSER)
+    stage_progress = part_of(progress, 0.0, _ROUGH)
+    rough, coarse = _converged(body, used, linear, stage_progress, stiffens=True)
+    stage_progress = part_of(progress, _ROUGH, _OTHER)
     other = strain_corrections(
-        body, coarse[0].constants, law=SplitNeoHookean, starts=coarse, progress=report
+        body, coarse[0].constants, law=SplitNeoHookean, starts=coarse, progress=stage_progress
     )
     used = replace(used, coarser=tuple(zip(coarse, other, strict=True)))
-    body, report = make_finite_body(session), part_of(progress, _OTHER, 1.0)
+    body, stage_progress = make_finite_body(session), part_of(progress, _OTHER, 1.0)
     result, estimated = rough, estimated_stiffening(rough)
     starts: tuple[Correction, ...] = ()
     if estimated.value > _HOPELESS * estimated.std:
-        result, starts = _converged(body, used, rough, report, stiffens=True)
+        result, starts = _converged(body, used, rough, stage_progress, stiffens=True)
         estimated = estimated_stiffening(result)
     # What is not shown may be there: the constants allow for it, unless it is hardly suspected.
     if estimated.value <= _HOPELESS * estimated.std:
-        result, starts = _converged(body, used, result, report, stiffens=False, starts=starts)
+        result, starts = _converged(
+            body, used, result, stage_progress, stiffens=False, starts=starts
+        )
     estimate, shown = result.estimate, is_stiffening(estimated)
     sentence, size = stiffening_text(estimated, shown=shown), _size_note(observations, starts)
     notes = (sentence, *estimate.notes, size) if shown else (*estimate.notes, size, sentence)
@@ -239,16 +242,16 @@ def strain_corrections(
         poisson_ratio=constants.poisson_ratio,
     )
     sag = _sagged(body, elastic, constants, law) if body.weight.any() else None
-    pressed: list[tuple[FinitePress, Points, Float[np.ndarray, "3 n 3"]]] = []
+    solved: list[tuple[FinitePress, Points, Float[np.ndarray, "3 n 3"]]] = []
     for k, same in enumerate(body.same):
         progress("finite strain", k / len(body.same))
         start = starts[k].press if starts else None
-        pressed.append(
-            pressed[same] if same < k else _pressed(body, k, elastic, constants, law, start, sag)
+        solved.append(
+            solved[same] if same < k else _pressed(body, k, elastic, constants, law, start, sag)
         )
     return tuple(
         Correction(constants, seen @ value, np.stack([seen @ change for change in slope]), press)
-        for seen, (press, value, slope) in zip(body.observed, pressed, strict=True)
+        for seen, (press, value, slope) in zip(body.observed, solved, strict=True)
     )
 
 
@@ -321,8 +324,8 @@ def _converged(
     last = 0.0, 0.0
     for iteration in range(_MOST_ROUNDS):
         before = now
-        report = part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1))
-        starts = strain_corrections(body, before, starts=starts, progress=report)
+        stage_progress = part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1))
+        starts = strain_corrections(body, before, starts=starts, progress=stage_progress)
         if used.coarser:
             starts = tuple(map(_extrapolated, starts, used.coarser))
         corrected = [
@@ -437,8 +440,8 @@ def _error(name: str, correction: Correction, rough: _Coarser | None) -> Nuisanc
             ),
         ]
     parameters = (
-        NuisanceParameter(f"{of} (in steps {step})", std, of="finite strain")
-        for of, step, std, _ in errors
+        NuisanceParameter(f"{what} (in steps {step})", std, of="finite strain")
+        for what, step, std, _ in errors
     )
     moved = np.stack([std * step.ravel() for *_, std, step in errors], axis=1)
     return Nuisance(tuple(parameters), lambda at: fixed_displacement(moved[at.rows], at))

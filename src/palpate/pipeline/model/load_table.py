@@ -195,9 +195,9 @@ class LoadTable:
             for traction, unit in zip(part, np.split(units, len(part), axis=2), strict=True):
                 terms[:, :, traction.columns] += unit @ traction.force
         dips = [(traction.columns, *dip) for traction in self.tractions for dip in traction.dips()]
-        for some in _slices(dips):
-            corrections = correction_columns(system, [dip for _, dip, _ in some]).terms
-            for k, (columns, _, factor) in enumerate(some):
+        for batch in _slices(dips):
+            corrections = correction_columns(system, [dip for _, dip, _ in batch]).terms
+            for k, (columns, _, factor) in enumerate(batch):
                 terms[:, :, columns] += corrections[:, :, k, None] * factor
         for patch in self.pressed.values():
             column = self.pressure_columns(patch.contact)

@@ -520,5 +520,5 @@ def _total_force(mesh: TriangleMesh, load: Load) -> Vector3:
     if load.force is not None:
         return load.force
     # A pressure always acts over given triangles.
-    pressed = area_vectors(mesh)[load.contact.triangles].sum(axis=0)
-    return -float(load.pressure or 0.0) * pressed
+    area = area_vectors(mesh)[load.contact.triangles].sum(axis=0)
+    return -float(load.pressure or 0.0) * area

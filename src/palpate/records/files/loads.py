@@ -142,8 +142,8 @@ def _contact(contact: TomlTable, body: HeldObject) -> Contact:
 
 
 def _tool(contact: TomlTable, metres: float, force: Vector3) -> Tool:
-    said = contact.optional("friction", lambda key: contact.choice(key, tuple(FRICTIONS)))
-    friction = FRICTIONS[said or "slides"]
+    stated = contact.optional("friction", lambda key: contact.choice(key, tuple(FRICTIONS)))
+    friction = FRICTIONS[stated or "slides"]
     shape = contact.choice("tool", tuple(TOOLS))
     kind = TOOLS[shape]
     if kind is ConvexMesh:
