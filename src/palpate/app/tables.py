@@ -371,7 +371,7 @@ class ShownTable(Table):
         return widths
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Any]:
-        """The table, or as many as it takes for each to be no wider than the terminal."""
+        """The table, split into as many as it takes to fit the width of the terminal."""
         parts = self._parts(options.max_width)
         # Above and below a narrow table there is more room than in it.
         if self.heading:
@@ -391,7 +391,7 @@ class ShownTable(Table):
             yield Text(self.below, style="table.caption")
 
     def _parts(self, width: int) -> list[list[int]]:
-        """Columns beside that of the names, as many at a time as have room, in even parts."""
+        """Columns other than the names, divided evenly into parts that fit the width."""
         needed = [self._min_width(k) + _COLUMN_PADDING for k in range(len(self.names))]
         room = max(width - _FRAME_WIDTH - needed[0], 1)
         indices = range(1, len(self.names))
@@ -406,7 +406,7 @@ class ShownTable(Table):
 
 
 def _captions(estimate: Estimate) -> list[str]:
-    """What the intervals hold beside noise, in sentences."""
+    """What the intervals include besides noise, in sentences."""
     sentences = []
     if assumed := len(estimate.settings.get("assumed_forces", ())):
         fraction = estimate.settings["errors"]["force"]
@@ -462,7 +462,7 @@ def _longest(words: Iterable[str]) -> int:
 
 
 def _split_columns(columns: Sequence[int], needed: Sequence[int], room: int) -> list[list[int]]:
-    """Columns in parts, each filled as far as there is room."""
+    """Columns divided into parts, each as full as the width allows."""
     parts, used = [list[int]()], 0
     for k in columns:
         if parts[-1] and used + needed[k] > room:

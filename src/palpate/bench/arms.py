@@ -124,7 +124,7 @@ class GuardedArm:
         self._place, self._force = (point, inward), 0.0
 
     def leave(self) -> None:
-        """Say that the tool goes round the object, where depth means nothing."""
+        """Switch off the depth limit, for moves round the object."""
         self._place, self._force = None, 0.0
 
     def felt(self, force: float) -> None:

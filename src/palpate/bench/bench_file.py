@@ -113,7 +113,7 @@ class Bench:
 
 
 def read_bench(source: Path | str) -> Bench:
-    """Read bench.toml; nothing is started.
+    """Read bench.toml without starting its devices.
 
     Parameters
     ----------

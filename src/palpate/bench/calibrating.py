@@ -65,7 +65,7 @@ _Seen = tuple[Sighting, ...]
 
 
 class _Places:
-    """Where a board was still so far, with the pictures of all cameras."""
+    """Positions in which a board was held still so far, with the pictures of all cameras."""
 
     def __init__(self, folder: Path, board: Target, cameras: Sequence[str]) -> None:
         self.folder, self.board, self.cameras = folder, board, list(cameras)

@@ -352,7 +352,7 @@ def _asked_tool(questions: Questions, unit: str, usual: str) -> dict[str, Any]:
 
 
 def _look(bench: Bench, questions: Questions, session: LiveSession) -> None:
-    """Look at the object at rest until nothing is wrong, or the person goes on regardless."""
+    """Check the pictures at rest until they are good, or the person goes on regardless."""
     while True:
         try:
             views = [grabbed(bench)[1] for _ in range(2)]
@@ -413,7 +413,7 @@ def _judged(
     *,
     until: Wanted | None,
 ) -> tuple[Estimate, _Places]:
-    """The constants of all pushes, said; and the places for the next one, the best first."""
+    """Fit all pushes and report the constants; gives the places for the next push, best first."""
     with questions.working() as progress:
         result = session.fit(measured, progress=progress)
     estimate = result.estimate

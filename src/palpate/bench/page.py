@@ -252,7 +252,7 @@ class Page(Questions):
             self._trace.content = trace_svg(time, force, moved)
 
     def _follow(self, pictures: Pictures, time: list[float], state: str) -> None:
-        """Have the motion near the tool followed, from the last pictures at rest."""
+        """Follow the motion near the tool, from the last pictures at rest."""
         if state == AT_REST:
             self._rest = pictures
             self._forget_motion()
@@ -383,7 +383,7 @@ class Page(Questions):
                 self._drawn.pop(name).remove()
 
     def _turn(self, toward: Vector3) -> None:
-        """Have all tabs look at the object from a side."""
+        """Turn the view of all tabs to one side of the object."""
         self._toward = toward
         for client in self._server.get_clients().values():
             self._aim(client)

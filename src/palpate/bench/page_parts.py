@@ -58,7 +58,7 @@ def steps_html(current: str) -> str:
 
 
 def question_html(text: str) -> str:
-    """What the person is asked, or told to do."""
+    """Question or instruction for the person, as HTML."""
     return block(
         f'<div style="font-size:1.05rem;font-weight:600;white-space:pre-line">{escape(text)}</div>'
     )

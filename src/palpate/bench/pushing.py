@@ -174,7 +174,7 @@ class _Watch:
         return self.mean(begun, self.frames[-1][0], rest)
 
     def since(self, begun: float) -> int:
-        """How many pictures there are since a time."""
+        """Number of pictures since a time."""
         return sum(when >= begun for when, _ in self.frames)
 
     def mean(self, begin: float, end: float, rest: Pictures | None = None) -> Pictures:
@@ -253,7 +253,7 @@ class _Force:
 def take_push(
     bench: Bench, questions: Questions, mesh: TriangleMesh, point: Vector3, inward: Vector3
 ) -> TakenPush:
-    """Have the arm, or the person, press at a place, and take pictures and force.
+    """Let the arm or the person press at a place, and record pictures and force.
 
     Parameters
     ----------

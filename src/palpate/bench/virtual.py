@@ -125,7 +125,7 @@ class VirtualWorld:
         return min(float(away @ along) / self._press.depth, 1.0)
 
     def go(self, position: Vector3, seconds: float) -> None:
-        """Have the tool arrive at a position so many seconds later."""
+        """Move the tool so that it arrives at a position after some seconds."""
         self.position = position
         self.wait(seconds)
 

@@ -383,7 +383,7 @@ def _check_numbers(first: int, count: int, dictionary: str) -> None:
 
 
 def _whole(complete: bool, pixel: np.ndarray | None) -> Sighting:
-    """Sighting of all marks of a target, or of none."""
+    """Sighting of all marks of a target, or an empty one."""
     if not complete or pixel is None:
         return _NOTHING
     pixel = pixel.reshape(-1, 2).astype(np.float64)

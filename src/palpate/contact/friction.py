@@ -130,7 +130,7 @@ def sweep(block, frames, friction, residual, force, status, times):
 
 @numba.njit(cache=True, error_model="numpy")
 def slide_directions(frames, friction, residual, force, status, slide):
-    """Which way each sliding node goes on its tool: against its friction, where there is any."""
+    """Direction in which each sliding node moves on its tool: against its friction, if any."""
     for i in range(friction.size):
         for a in range(3):
             slide[i, a] = 0.0

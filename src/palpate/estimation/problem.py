@@ -129,7 +129,7 @@ class Expansions(Sequence[Expansion]):
         return len(self.probes)
 
     def __getitem__(self, index: Any) -> Any:
-        """That of one probing, or those of some."""
+        """Expansion of one probing, or expansions of several."""
         if isinstance(index, slice):
             return replace(self, probes=self.probes[index])
         return _expansion(self.probes[index], self.shared, self.poisson_ratio)

@@ -115,8 +115,8 @@ def nodal_loads(session: Session, solid: Solid) -> Float[np.ndarray, "n3 k"]:
 
 
 def nodal_shifts(session: Session, solid: Solid) -> Float[np.ndarray, "n3 k2"]:
-    """What each probing's nodal forces change by as its contact moves by a standard deviation along
-    each tangent, (3 n, 2 k) [N]; nothing where it would reach the support.
+    """Change of each probing's nodal forces as its contact moves by a standard deviation along
+    each tangent, (3 n, 2 k) [N]; zero where it would reach the support.
 
     Parameters
     ----------

@@ -229,7 +229,7 @@ def _value_and_ends(
 
 
 def _yes_or_no(constant: Constant, held: bool) -> Cell:
-    """Whether a constant's interval holds the truth; None where a contradicted model has none."""
+    """Whether a constant's interval holds the truth; None where there is no interval."""
     return ("yes" if held else "no") if np.isfinite(constant.ci95).all() else None
 
 

@@ -138,7 +138,7 @@ class _Seen:
 
 
 def _unusable(session: Session, probing: Probing, series: Series) -> str:
-    """Why the series of a probing says nothing about the modulus; empty if it does."""
+    """Why the series of a probing cannot be used; empty if it can."""
     if series.hold < _LEAST_HOLD * series.rise:
         return (
             f"the force is held for {series.hold:.3g} s after it rose for {series.rise:.3g} s; hold"

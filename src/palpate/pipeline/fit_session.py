@@ -357,7 +357,7 @@ def _session_notes(
 
 
 def _agreement(tested: Reciprocity | None) -> list[str]:
-    """That pushes agree, for those who want to know all."""
+    """A sentence that pushes agree, for the detailed notes."""
     return [tested.text] if tested is not None and tested.holds and tested.is_tested else []
 
 
@@ -460,7 +460,7 @@ def _rejection_notes(session: Session) -> list[str]:
 
 
 def _keep(model: ObjectModel, settings: FitSettings, residual: float, *, with_loads: bool) -> None:
-    """Have a model's factors computed, and its reduced model with its loads."""
+    """Compute a model's factors, and its reduced model with its loads, for the cache."""
     # On springs, a reduced model depends on the shear modulus.
     if with_loads and model.springs is None:
         reduced_model_of(model, settings=settings, residual=residual)

@@ -405,7 +405,7 @@ def _session_observations_at(
 def _rows(
     session: Session, model: ObjectModel, *, with_surface: bool
 ) -> Iterator[ObservationMatrix]:
-    """Those of every probing's points; then, where they are needed, those of all vertices."""
+    """Observation matrices of every probing's points; then, where needed, of all vertices."""
     for k, probing in enumerate(session.probings):
         field = _measured(probing)
         yield probe_rows(model, k, field.surface, average=field.average)

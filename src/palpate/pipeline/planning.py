@@ -350,8 +350,8 @@ def _observed(session: Session, cache: Cache | None) -> list[ProbeObservations]:
 def _information_of(
     session: Session, observed: Sequence[ProbeObservations], fitted: FitResult
 ) -> tuple[Information, bool]:
-    """What the probings of a session tell, those that are planned included, and whether the body
-    that was fitted is the same everywhere."""
+    """Information of a session's probings, planned ones included, and whether the fitted body is
+    the same everywhere."""
     minimum, predict, constants = fitted.minimum, fitted.predict, fitted.estimate
     field = predict.field if isinstance(predict, Predictor) else None
     if field is not None:

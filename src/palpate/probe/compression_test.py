@@ -367,7 +367,7 @@ def _refuse_impossible(
 
 
 def _check_slope(slope: float, where: str) -> None:
-    """Refuse a force that does not rise, and a modulus that nothing has."""
+    """Refuse a force that does not rise, and a modulus that no material has."""
     if not slope > 0:
         raise InputError(
             f"{where}the force does not rise while the cylinder is pressed (slope {slope:.4g} Pa); "

@@ -355,7 +355,7 @@ class RegionEstimate:
 
     @property
     def without_interval(self) -> "RegionEstimate":
-        """The estimate without intervals, which a model that does not fit has none of."""
+        """The estimate without intervals, as of a model that does not fit."""
         ratio, shear, young = (
             Constant(constant.value, math.nan, (math.nan, math.nan))
             for constant in (self.ratio, self.shear_modulus, self.young_modulus)

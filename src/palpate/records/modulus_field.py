@@ -223,7 +223,7 @@ class ModulusMap:
         return float(np.exp(self.log_modulus[order][np.searchsorted(share, 0.5 * share[-1])]))
 
     def isosurface(self, ratio: float) -> TriangleMesh | None:
-        """Where the modulus passes a value, as far as the data tell it.
+        """Surface on which the modulus has a given value, where the data determine it.
 
         Parameters
         ----------

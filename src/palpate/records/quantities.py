@@ -264,7 +264,7 @@ def law_rows(estimate: Estimate) -> list[tuple[str, str, str, str]]:
 
 
 def load_text(estimate: Estimate) -> str:
-    """That stiffness changes with the load, in a sentence; empty where the data do not show it.
+    """A sentence that stiffness changes with the load; empty where the data do not show it.
 
     Parameters
     ----------

@@ -241,7 +241,7 @@ def check_cameras(rig: Rig) -> None:
 
 
 def _matrix_fault(camera: Camera) -> str:
-    """What no camera's matrix is; empty: nothing."""
+    """What is impossible in a camera's matrix; empty if nothing is."""
     focal, middle = np.diag(camera.matrix)[:2], camera.matrix[:2, 2]
     least = 1.0 if camera.size is None else _SHORTEST_FOCAL * max(camera.size)
     if focal.min() < least:
@@ -268,7 +268,7 @@ def _matrix_fault(camera: Camera) -> str:
 
 
 def _lens_fault(camera: Camera) -> str:
-    """What no lens does within its picture; empty: nothing."""
+    """What is impossible in a lens model within its picture; empty if nothing is."""
     limit = lens_radius_limit(camera.distortion)
     if camera.size is None or not np.isfinite(limit):
         return ""

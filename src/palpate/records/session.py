@@ -222,7 +222,7 @@ def _check_contents(session: Session) -> None:
 
 
 def _check_gravity(session: Session) -> None:
-    """Refuse a density or a gravity that nothing has, and gravity where its share is not known."""
+    """Refuse an impossible density or gravity, and gravity whose share is not known."""
     density, gravity = session.density, session.gravity
     if density is not None and not 0.0 < density <= _LARGEST_DENSITY:
         raise InputError(

@@ -201,7 +201,7 @@ class Cone(RoundTool):
             )
 
     def slope(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """That of its side."""
+        """Slope of its side."""
         return np.full_like(distance, 1.0 / np.tan(self.angle))
 
     @property

@@ -376,7 +376,7 @@ def make_solid_model(
     usual = float(np.cbrt(enclosed_volume(session.mesh))) / _ALONG_BODY
 
     def filled(longer: float, stage_progress: Progress = silent) -> Solid:
-        """Elements that many times as long."""
+        """Fill the object with elements longer by a factor."""
         fine = []
         if push is not None and push.radius is not None:
             fine = [(push.point, _FINE_REACH * push.radius, longer * push.radius / _ALONG_CONTACT)]

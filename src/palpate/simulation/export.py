@@ -292,7 +292,7 @@ def export_fit(
 
 
 def _check_nodes(form: Format, edge: float | None, nodes: int | None) -> None:
-    """Refuse a number of nodes where it means nothing."""
+    """Refuse a number of nodes for simulators that take none."""
     if nodes is None:
         return
     if not form.is_linear:

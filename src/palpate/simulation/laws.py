@@ -135,8 +135,7 @@ def write_febio_prony(folder: Path, model: SolidModel) -> None:
 def sofa_branches(
     body: EstimatedObject,
 ) -> tuple[float, float, list[tuple[float, float]]] | None:
-    """A spring and branches of Maxwell beside it, which relax as the body does; None of one that is
-    elastic.
+    """A spring and parallel Maxwell branches that relax as the body does; None for an elastic body.
 
     Branches have no bulk of their own: Lame's first constant stays that of the written constants,
     and Poisson's ratio rises as the shear modulus relaxes.

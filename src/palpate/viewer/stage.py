@@ -436,7 +436,7 @@ def _facets(corners: Float[np.ndarray, "t 3 3"], colours: Float[np.ndarray, "t 3
 
 
 def modulus_colours(modulus: ModulusMap) -> Colours:
-    """Colour of every element: red stiffer, blue softer, grey where the data do not tell.
+    """Colour of every element: red stiffer, blue softer, grey where the data do not determine it.
 
     Parameters
     ----------

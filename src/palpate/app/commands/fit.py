@@ -413,7 +413,7 @@ def _print(
     predictions: Sequence[Prediction],
     sizes: Mapping[str, float],
 ) -> None:
-    """The tables, and what a reader must know besides."""
+    """Print the tables, and the notes that a reader must know."""
     if len(estimate.probes) > 0:
         print_tables(probes_table(estimate))
     print_tables(constants_table(estimate))

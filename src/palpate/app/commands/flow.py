@@ -194,7 +194,7 @@ def _rejections(session: Session, rig: Rig, motion: MeasuredMotion) -> tuple[Rej
 
 
 def _print_rejections(figures: Sequence[MotionFigures], counts: Sequence[Rejections]) -> None:
-    """Whether so many lost vertices are usual; nothing where a probing has none at all."""
+    """Print whether that many lost vertices are usual; nothing where a probing lost none."""
     probings = {f.probing for f in figures if f.probing is not None}
     if len(counts) == len(probings) and any(rejected.lost for rejected in counts):
         print_text(rejection_note(counts))

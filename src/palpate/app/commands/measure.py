@@ -35,7 +35,7 @@ class _Terminal(Questions):
         return _asked(text, default=usual)
 
     def wait(self, text: str) -> None:
-        """Until Enter."""
+        """Wait until Enter is pressed."""
         _asked(f"{text}; then Enter", default="", show_default=False)
 
     def working(self) -> AbstractContextManager[Progress]:

@@ -189,7 +189,7 @@ def _cameras(plan: MeasurementPlan) -> Table:
 
 
 def _probings(plan: MeasurementPlan, young: float, poisson: float) -> Table:
-    """One row a probing, and one of all together."""
+    """One row for each probing, and one for all together."""
     factor, unit = modulus_unit(young)
     rows = [
         (
@@ -209,7 +209,8 @@ def _probings(plan: MeasurementPlan, young: float, poisson: float) -> Table:
 
 
 def _deviations(precision: dict[str, float], factor: float) -> tuple[str, str, str]:
-    """Those of nu, G and E, the moduli in a unit of `factor`; a dash: not determined."""
+    """Standard deviations of nu, G and E as text, moduli in a unit of `factor`; a dash
+    where one is not determined."""
     return (
         number_text(precision["poisson_ratio"], ".2g"),
         number_text(precision["shear_modulus"] / factor, ".2g"),

@@ -377,7 +377,7 @@ def _numbers(vector: Sequence[float] | Float[np.ndarray, " n"]) -> str:
 
 
 def _serve(viewer: Viewer) -> None:
-    """Until somebody ends it."""
+    """Serve the page until somebody ends it."""
     print_text(f"Open {viewer.address} in a browser; Ctrl-C ends it", wrapped=False)
     try:
         while True:

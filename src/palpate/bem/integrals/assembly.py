@@ -189,7 +189,7 @@ class KernelIntegrals:
         return self._computed(points)[0]
 
     def all_blocks(self) -> FieldBlocks:
-        """Those of all blocks, computed in threads."""
+        """The integrals of all blocks, computed in threads."""
         return FieldBlocks(
             self._computed(self.points), self.points.rows, self.points.point.shape[0]
         )

@@ -116,8 +116,7 @@ _Coarser = tuple[Correction, Correction]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Used:
-    """What an estimate is made from: the errors of corrections are known once there are coarser
-    ones."""
+    """Data of an estimate; errors of the corrections are known once there are coarser ones."""
 
     observations: Sequence[ProbeObservations]
     settings: FitSettings

@@ -490,7 +490,7 @@ def _contact_errors(model: ObjectModel, index: int, response: ProbeResponse) -> 
 
 
 def _tool_slip(model: ObjectModel, index: int, response: ProbeResponse) -> list[Nuisance]:
-    """Slip of a tool whose displacement was measured, where it slides: by as much as it touches."""
+    """Slip of a tool that slides and whose displacement was measured: up to its contact radius."""
     probing = model.session.probings[index]
     tool, patch = probing.contact.tool, model.loads.patch_of[index]
     if probing.tip_displacement is None or tool is None or tool.friction != SLIDES or patch < 0:

@@ -52,7 +52,7 @@ _MIN_MOVE = 0.002
 
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """An instant of which there are pictures.
+    """An instant with pictures.
 
     Attributes
     ----------

@@ -204,7 +204,7 @@ def _explanation(rig: Rig, pairs: _Pairs, worst: float, whose: str) -> str:
 
 
 def _better_order(rig: Rig, pairs: _Pairs) -> tuple[int, ...] | None:
-    """Permutation of cameras under which the pictures fit; None if there is no such."""
+    """Permutation of cameras under which the pictures fit; None if there is none."""
     count = len(rig.cameras)
     if count > _MAX_REORDERED_CAMERAS:
         return None
