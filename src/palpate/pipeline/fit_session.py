@@ -149,11 +149,9 @@ def _fit_displacements(
     before("the given mesh", 0.0)
     refined = refined_session(session)
     # First, so that its memory is free again before the graded model is made.
-    stage_progress = part_of(before, 0.0, _GRADED, prefix="the given mesh: ")
+    first_part = part_of(before, 0.0, _GRADED, prefix="the given mesh: ")
     # The correction for finite strain presses a ball where it touched first, and lets it slide.
-    refined, ungraded = _on_ungraded_mesh(
-        refined, settings, cache, not finite_strain, stage_progress
-    )
+    refined, ungraded = _on_ungraded_mesh(refined, settings, cache, not finite_strain, first_part)
     compared = time.perf_counter()
     before("integrals over the surface", _GRADED)
     graded = graded_session(refined)
@@ -268,19 +266,19 @@ def _on_ungraded_mesh(
 ) -> tuple[Session, list[ProbeObservations]]:
     """A session with the contacts of its tools, `displaced` with the object or where they touched
     first, and its observations with the model of the mesh before grading."""
-    stage_progress = part_of(progress, 0.0, _OWN)
+    first_part = part_of(progress, 0.0, _OWN)
     if has_tools(session):
         session, observations = with_consistent_contacts(
             session,
             settings=settings,
             cache=cache,
             displaced=displaced,
-            progress=stage_progress,
+            progress=first_part,
         )
     else:
         # The model is not kept, so that its memory is free before the next model is made.
         observations = ungraded_observations(
-            session, settings=settings, cache=cache, progress=stage_progress
+            session, settings=settings, cache=cache, progress=first_part
         )[1]
     return session, with_mesh_steps(
         session, observations, settings=settings, cache=cache,
