@@ -36,7 +36,9 @@ UNSURE = 0.2
 BODIES = ("block", "egg")
 
 
-def told(body: Measured, errors: ErrorPriors, noise: float, seed: int, unsure: float) -> Session:
+def measured_session(
+    body: Measured, errors: ErrorPriors, noise: float, seed: int, unsure: float
+) -> Session:
     """A session that tells the springs, wrong by as much as it says they may be."""
     draw = np.random.default_rng([seed, 77]).normal()
     softer = 1.0 + unsure * float(np.clip(draw, -2.5, 2.5))
@@ -58,13 +60,13 @@ def main() -> None:
     every: dict[str, list[np.ndarray]] = {"known": [], "to a fifth": []}
     for name in sys.argv[3:] or BODIES:
         body = measured_body(name, folder, STIFFNESS)
-        clean = told(body, EXACT, 0.0, 0, 0.0)
+        clean = measured_session(body, EXACT, 0.0, 0, 0.0)
         rigid = replace(clean, supports=(Support(clean.held_triangles),))
         for kind, given in (("clean", clean), ("clean, taken as rigid", rigid)):
             print(f"{name}: {kind} {errors_of(timed(given, folder)[0], body.truth)}", flush=True)
         for seed in range(count):
             for known, unsure in zip(every, (0.0, UNSURE), strict=True):
-                noisy = told(body, ErrorPriors(), NOISE, seed, unsure)
+                noisy = measured_session(body, ErrorPriors(), NOISE, seed, unsure)
                 estimate, seconds = timed(noisy, folder)
                 every[known].append(held(estimate, body.truth))
                 print(

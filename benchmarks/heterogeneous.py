@@ -222,7 +222,7 @@ def true_motion(
 
 def session(name: str, kind: str, folder: Path, seed: int, wrong: int | None = None) -> Session:
     """Ten pushes as cameras from one side see them, six known exactly and everywhere; or, `wrong`
-    the seed of draws, all told wrong by as much as a session says they may be."""
+    the seed of draws, all wrong by as much as a session says they may be."""
     shape = BODIES[name]
     mesh = shape.make(shape.edge)
     at = pushes(mesh, shape, FITTED + PREDICTED, seed)
@@ -259,10 +259,10 @@ def session(name: str, kind: str, folder: Path, seed: int, wrong: int | None = N
         name, Path(), mesh, held, tuple(probings), None, None, None, (), errors=ErrorPriors(),
         regions=regions_of(mesh, kind) if kind in REGIONS else (),
     )  # fmt: skip
-    return whole if wrong is None else told_wrong(whole, wrong)
+    return whole if wrong is None else with_errors(whole, wrong)
 
 
-def told_wrong(exact: Session, seed: int) -> Session:
+def with_errors(exact: Session, seed: int) -> Session:
     """A session wrong by draws from its priors: gauge, places, radii, pose, lengths."""
     priors, rng, mesh = exact.errors, np.random.default_rng(seed), exact.mesh
     gain, gauge, turn, shift, scale = drawn_errors(priors, rng)

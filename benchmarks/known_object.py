@@ -44,21 +44,21 @@ class Wrong:
     name : str
     turn, shift : float [rad], [m]  standard deviations, of every camera but the first
     focal : float                   of every focal length, relative
-    told : bool                     whether its covariance lies beside it
+    has_covariance : bool           whether its covariance lies beside it
     """
 
     name: str
     turn: float
     shift: float
     focal: float
-    told: bool
+    has_covariance: bool
 
 
 KINDS = (
     Wrong("moved cameras", np.deg2rad(0.1), 3e-4, 0.0, False),
     Wrong("moved a little", np.deg2rad(0.01), 3e-5, 0.0, False),
     Wrong("as calibrated", np.deg2rad(0.01), 3e-5, 3e-4, True),
-    Wrong("right, nothing told", 0.0, 0.0, 0.0, False),
+    Wrong("right, no covariance", 0.0, 0.0, 0.0, False),
 )
 
 
@@ -99,7 +99,7 @@ def wrong_rig(truth: Rig, kind: Wrong, seed: int) -> tuple[Rig, RigCovariance | 
         names += [f"{camera.name}.{term}" for term in _TERMS]
         sigma += [kind.turn] * 3 + [kind.shift] * 3
     rig = moved_rig(truth, names, np.array(sigma) * rng.normal(size=len(sigma)))
-    if not kind.told:
+    if not kind.has_covariance:
         return rig, None
     value = calibration_numbers(rig.cameras, names)
     return rig, RigCovariance(tuple(names), value, np.diag(np.square(sigma)), "calibration")

@@ -4,7 +4,7 @@
 
 The time of one dense view; a toy and a half ball of speckle, twelve views 30 degrees apart by
 three cameras, noise 1.5 grey levels, rendered into the folder where they are not there yet; then
-the toy with its poses not told. Distances are from the exact shape, both ways, over what the
+the toy with unknown poses. Distances are from the exact shape, both ways, over what the
 views show; the scan stands on its support, whose plane is given.
 """
 
@@ -181,7 +181,7 @@ def pose_figures(folder: Path) -> list[Figure]:
         )
         turns.append(np.degrees(turn.magnitude()))
         shifts.append(1e3 * np.linalg.norm(placed.points.mean(axis=0) - place_true.mean(axis=0)))
-    name = f"turntable of {_VIEWS} views, poses not told: largest"
+    name = f"turntable of {_VIEWS} views, unknown poses: largest"
     return [
         Figure(DOOR, f"{name} {what}", float(max(errors)), unit,
                note=f"rms {np.sqrt(np.mean(np.square(errors))):.3f} {unit}; {seconds:.0f} s")
@@ -209,7 +209,7 @@ def view_figure(folder: Path, shape: str) -> Figure:
 
 
 def measure(options: Options) -> list[Figure]:
-    """Turntables of the half ball and of the toy; the toy's with its poses not told."""
+    """Turntables of the half ball and of the toy; the toy's with unknown poses."""
     folder = MADE / "turntables"
     shapes = ("toy",) if options.quick else tuple(RADIUS)
     figures = [view_figure(folder, shape) for shape in shapes]

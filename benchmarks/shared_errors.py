@@ -1,4 +1,4 @@
-"""What errors that probings share do to the constants: known, told, and worse than told.
+"""What errors that probings share do to the constants: known, stated, and worse than stated.
 
 The truth is that of `coverage_of_bodies`, quadratic tetrahedra; what the session tells is wrong in
 one way at a time. Run it with
@@ -10,9 +10,9 @@ FOLDER keeps the true displacements, which take minutes a body. It prints, a bod
 - width: of the interval of E over the width that the same measurement has where nobody errs, with
   every error as uncertain as it is by default, by what measured the forces (`BENCHES`), and how
   often it holds;
-- contact: errors of E and nu where the first contact lies 1.5 mm beside the place that is told:
+- contact: errors of E and nu where the first contact lies 1.5 mm beside the stated place:
   with the default of 0.5 mm as the only uncertain thing, with all defaults, and taken as exact;
-- force: where every force is read 2 % too large, told 1 %, no depth given;
+- force: where every force is read 2 % too large, stated as 1 %, no depth given;
 - scatter: how often the interval of E holds for two probings whose forces are off by so much that
   their constants lie twice as far apart as each of them claims.
 """
@@ -32,7 +32,7 @@ from palpate.pipeline import fit_session
 from palpate.records import EXACT, Estimate, Session
 from palpate.records.error_priors import ErrorPriors
 
-# Beside the place that is told [m], and the gain of a sensor.
+# Beside the stated place [m], and the gain of a sensor.
 BESIDE, GAIN = 1.5e-3, 1.02
 
 
@@ -65,7 +65,7 @@ class Laboratory:
         self.body, self.cache = body, folder / "integrals"
 
     def session(self, drawn: ErrorPriors, stated: ErrorPriors, seed: int) -> Session:
-        """A session whose errors are drawn from one prior and told as another."""
+        """A session whose errors are drawn from one prior and stated as another."""
         return replace(session(self.body, drawn, NOISE, seed), errors=stated)
 
     def fit(self, session: Session) -> Estimate:
@@ -108,7 +108,7 @@ def measured_by(session: Session, sensors: Sequence[Sensor], seed: int) -> Sessi
 
 
 def misplaced(session: Session, laboratory: Laboratory) -> Session:
-    """The session with its first contact told beside where it is."""
+    """The session with its first contact stated beside where it is."""
     first, *others = session.probings
     pushed = first.force / np.linalg.norm(first.force)
     beside = np.cross(pushed, np.eye(3)[np.argmin(np.abs(pushed))])
@@ -161,9 +161,9 @@ def main() -> None:
         alone = replace(EXACT, contact_point=priors.contact_point)
         rows = {
             "contact alone, 0.5 mm": replace(beside, errors=alone),
-            "contact, told 0.5 mm": beside,
-            "contact, told exact": replace(beside, errors=EXACT),
-            "force 2 %, told 1 %": too_strong(clean),
+            "contact, prior 0.5 mm": beside,
+            "contact, taken as exact": replace(beside, errors=EXACT),
+            "force 2 %, prior 1 %": too_strong(clean),
         }
         for what, session_of_row in rows.items():
             estimate = laboratory.fit(session_of_row)
