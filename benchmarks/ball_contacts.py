@@ -121,7 +121,8 @@ def main() -> None:
         for friction, assumed in product((SLIDES, STICKS), repeat=2):
             touched = ", ".join(f"{pressed.radius / BALL:.2f}" for pressed in by_friction[friction])
             print(
-                f"{name:10s} {_WORDS[friction]}, taken as {_WORDS[assumed]}: circles of {touched} radii"
+                f"{name:10s} {_WORDS[friction]}, taken as {_WORDS[assumed]}: circles of {touched}"
+                " radii"
             )
             for known, (errors, noise) in _KNOWN.items():
                 measured = session(name, mesh, by_friction[friction], assumed, noise)
