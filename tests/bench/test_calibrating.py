@@ -133,16 +133,16 @@ def test_a_board_that_nobody_described_is_asked_for(tmp_path, monkeypatch):
         ("chessboard", ["2 6 20mm", "9 6 20mm"], Chessboard(9, 6, 0.02)),
     ):
         script = Asked(("What kind", kind), *(("Columns", answer) for answer in answers))
-        found = []
+        seen_boards = []
 
-        def places(self, _folder, board, _cameras, found=found):
-            found.append(board)
+        def places(self, _folder, board, _cameras, seen_boards=seen_boards):
+            seen_boards.append(board)
 
         monkeypatch.setattr("palpate.bench.calibrating._Places.__init__", places)
         monkeypatch.setattr("palpate.bench.calibrating._Places.has_table", False)
         with pytest.raises(Enough):
             calibrate_live(virtual, script, tmp_path)
-        np.testing.assert_allclose(found[0].points, board.points)
+        np.testing.assert_allclose(seen_boards[0].points, board.points)
         assert len(script.told) == len(answers) - 1
         assert all(text.startswith("answer: board") for text in script.told), script.told
 

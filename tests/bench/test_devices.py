@@ -161,9 +161,9 @@ def table(tmp_path):
         with path.open("a") as file:
             file.write("0.1,-1.5\n0.2,1.5")
             file.flush()
-            found = read()
+            readings = read()
             file.write("\n")
-        return found
+        return readings
 
     gauge.read = fed
     yield gauge

@@ -36,18 +36,18 @@ class Gui(Controls):
 
     def open_button(self, label):
         """That button, once it is there."""
-        found = []
+        buttons = []
 
         def there():
-            found[:] = [
+            buttons[:] = [
                 button
                 for button in self.of_kind("button")
                 if button.label == label and not button.closed
             ]
-            return found
+            return buttons
 
         until(there, patience=10.0)
-        return found[-1]
+        return buttons[-1]
 
 
 @pytest.fixture

@@ -30,8 +30,8 @@ def test_a_part_replaces_its_own_rows_only(tmp_path):
     write_part(file, "door", [Figure(BEM, "other, and a comma", 2.34567, "s", "how")], MACHINE)
     stopped = Figure(NOT_MEASURED, "cube", None, note="it stopped")
     write_part(file, "model", [Figure(BEM, "new", 1234.5), stopped], MACHINE)
-    found = [(row["part"], row["what"], row["figure"]) for row in read_rows(file)]
-    assert found == [
+    rows = [(row["part"], row["what"], row["figure"]) for row in read_rows(file)]
+    assert rows == [
         ("door", "other, and a comma", "2.35"),
         ("model", "new", "1234"),
         ("model", "cube", ""),

@@ -63,12 +63,12 @@ def _drawn(seed: int, *, noise: float = 0.03) -> tuple[Refined, Rig, Rig]:
 
 def _errors(rig: Rig, truth: Rig, names: tuple[str, ...]) -> np.ndarray:
     """Of every number; a turn as the covariance counts it, after that of the pose."""
-    found = calibration_numbers(rig.cameras, names) - calibration_numbers(truth.cameras, names)
+    errors = calibration_numbers(rig.cameras, names) - calibration_numbers(truth.cameras, names)
     for camera, true in zip(rig.cameras[1:], truth.cameras[1:], strict=True):
         turn = camera.T_camera_object[:3, :3] @ true.T_camera_object[:3, :3].T
         first = names.index(f"{camera.name}.rx")
-        found[first : first + 3] = Rotation.from_matrix(turn).as_rotvec()
-    return found
+        errors[first : first + 3] = Rotation.from_matrix(turn).as_rotvec()
+    return errors
 
 
 def test_errors_shrink_to_what_the_covariance_says() -> None:

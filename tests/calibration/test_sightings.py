@@ -74,11 +74,11 @@ def test_still_frames_of_videos_give_the_rig(
     # Of every place one frame, and of those in which it is still.
     assert len(frames) == _PLACES
     assert all(int(name) % (_MOVING + _STILL) >= _MOVING for name in frames)
-    found = read_rig(rig).cameras[1].T_camera_object
+    pose_found = read_rig(rig).cameras[1].T_camera_object
     with np.load(rig / "rig_covariance.npz") as stored:
         sigma = dict(zip(stored["names"], np.sqrt(np.diag(stored["covariance"])), strict=True))
         assert stored["corner_noise"].max() < 0.15
-    assert abs(found[0, 3] - pose[0, 3]) < 4.0 * sigma["c1.tx"] < 2e-2
+    assert abs(pose_found[0, 3] - pose[0, 3]) < 4.0 * sigma["c1.tx"] < 2e-2
 
 
 def test_videos_of_different_length_are_refused(

@@ -309,12 +309,12 @@ def test_a_work_has_the_pictures_of_its_probings_alone(seen):
     ],
 )
 def test_probings_with_many_instants_are_several_works(instants, expected):
-    found = [
+    pieces = [
         [int(name) for name in piece]
         for piece in _pieces(dict(zip(map(str, range(9)), instants, strict=False)))
     ]
-    assert found == expected
-    assert all(sum(instants[k] for k in piece) >= min(25, sum(instants)) for piece in found)
+    assert pieces == expected
+    assert all(sum(instants[k] for k in piece) >= min(25, sum(instants)) for piece in pieces)
 
 
 @pytest.mark.slow
@@ -456,10 +456,10 @@ def test_few_sessions_are_read_while_a_body_is_computed(cubes, local, tmp_path, 
         file.write_text(file.read_text().replace("-1.2", f"-1.{number + 2}"))
     held = []
 
-    def stored(self, work, found, store=_Run._store_outcome):
+    def stored(self, work, outcome, store=_Run._store_outcome):
         if work.kind == "body":
             held.append(len(self._items_of))
-        store(self, work, found)
+        store(self, work, outcome)
 
     monkeypatch.setattr(_Run, "_store_outcome", stored)
     monkeypatch.setattr(campaign, "_FITS_PER_THREAD", 1)

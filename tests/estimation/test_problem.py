@@ -138,8 +138,8 @@ def test_models_made_when_asked_for_are_those_that_are_kept() -> None:
     expanded = made.expanded(0.28)
     assert isinstance(expanded.expansions, tuple)
     assert not isinstance(made.expansions, tuple)
-    for found, wanted in zip(made.linearised(theta), expanded.linearised(theta), strict=True):
-        for first, other in zip(found, wanted, strict=True):
+    for actual, wanted in zip(made.linearised(theta), expanded.linearised(theta), strict=True):
+        for first, other in zip(actual, wanted, strict=True):
             np.testing.assert_array_equal(first, other)
     assert [len(expansion.effects) for expansion in made.expansions[1:]] == [
         len(expanded.expansions[1].effects)

@@ -253,9 +253,9 @@ def _failing(
 def _viewed(rig: Rig, mesh: TriangleMesh, *_: object, **__: object) -> ObjectView:
     """What pictures of an object would tell, in the place of pictures that show one."""
     points = mesh.vertices
-    found = register(points, None, mesh)
+    registration = register(points, None, mesh)
     grey = tuple(np.zeros(camera.size[::-1]) for camera in rig.cameras)
-    return ObjectView(rig, found, found.covariance, len(points), None, grey, ())
+    return ObjectView(rig, registration, registration.covariance, len(points), None, grey, ())
 
 
 def _check_again(

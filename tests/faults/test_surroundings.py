@@ -247,12 +247,12 @@ def usual(bench_and_more: Path, tmp_path_factory: pytest.TempPathFactory) -> Cal
 
 def _wrong(name: str, words: tuple[str, ...], work: Path, surrounding: str, code: int) -> str:
     """What is wrong with a command in a surrounding; empty where nothing is."""
-    found, said = _outcome(words, work, surrounding)
+    actual, said = _outcome(words, work, surrounding)
     allowed = {code, 2} if surrounding == _READ_ONLY else {code}
-    clear = found != 2 or 20 < len(said.strip()) < 1500
-    if found in allowed and clear and "Traceback" not in said:
+    clear = actual != 2 or 20 < len(said.strip()) < 1500
+    if actual in allowed and clear and "Traceback" not in said:
         return ""
-    return f"{name}: {found} for {code}: {said}"
+    return f"{name}: {actual} for {code}: {said}"
 
 
 @pytest.mark.skipif(

@@ -99,15 +99,15 @@ def test_parts_of_a_support_that_have_come_loose_are_let_go(model):
     seen = observed(model, points, stiffness.displacements(model.load) / MODULUS)
     here, minimum = model.under(given, seen), joint_minimum(seen, FitSettings())
     first = Explanation(Cause.SUPPORT, 0.0, 0.4, here, NU)
-    found = first.with_parts_let_go(minimum, FitSettings())
-    np.testing.assert_array_equal(found.loose, loose)
+    loosened = first.with_parts_let_go(minimum, FitSettings())
+    np.testing.assert_array_equal(loosened.loose, loose)
 
     def missed(explanation):
         at = joint_minimum(explanation.with_field(given, seen), FitSettings())
         return np.sqrt(np.mean(np.square(np.concatenate(at.residual))))
 
     # The same elements without the same nodes: nothing but the step between Poisson's ratios.
-    assert missed(found) < 0.1 * missed(first)
+    assert missed(loosened) < 0.1 * missed(first)
 
 
 @pytest.mark.parametrize("cause", [None, *Cause])

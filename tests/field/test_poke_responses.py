@@ -100,9 +100,9 @@ def test_a_tool_goes_in_as_with_elements_that_resolve_it(layered):
     stiffness = with_moduli(model.body, field(places), RATIO)
     seen = (model.load * stiffness.displacements(model.load)).sum(axis=0)
     local = np.exp(-(model.near @ model.body.means(field(places)[:, None])[:, 0]))
-    found = seen + local * (dents(given, 1.0, RATIO) - (1.0 - RATIO) * model.spread)
+    compliance = seen + local * (dents(given, 1.0, RATIO) - (1.0 - RATIO) * model.spread)
     for k, point in enumerate(np.array(PLACES)):
-        assert found[k] == pytest.approx(
+        assert compliance[k] == pytest.approx(
             _resolved(given, point, field), rel=0.03 if layered else 0.015
         )
 

@@ -58,8 +58,8 @@ def texts(figure):
 
 def arrows(axes):
     """The arrows of a panel: places and components in pixels."""
-    (found,) = (item for item in axes.collections if isinstance(item, Quiver))
-    return np.asarray(found.XY), np.stack([found.U, found.V], axis=1)
+    (quiver,) = (item for item in axes.collections if isinstance(item, Quiver))
+    return np.asarray(quiver.XY), np.stack([quiver.U, quiver.V], axis=1)
 
 
 # What is shown
@@ -272,9 +272,9 @@ def test_causes_have_their_colours(cube, view):
     grid = image.get_array()
     numbers = np.asarray(grid[~grid.mask])
     # One point without texture, three that look different.
-    found = [to_hex(image.cmap(image.norm(number))) for number in np.sort(numbers)]
+    colours = [to_hex(image.cmap(image.norm(number))) for number in np.sort(numbers)]
     score, texture = CAUSE_COLOURS[Outcome.SCORE], CAUSE_COLOURS[Outcome.TEXTURE]
-    assert found == [texture.lower(), *[score.lower()] * 3]
+    assert colours == [texture.lower(), *[score.lower()] * 3]
 
 
 def test_the_figure_says_what_it_shows_and_in_which_unit(cube, view):

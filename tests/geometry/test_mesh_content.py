@@ -108,13 +108,13 @@ def test_corners_of_a_vtu(tmp_path: Path) -> None:
     grid = meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)])
     meshio.vtu.write(path, grid, binary=True, compression=None)
     text = path.read_text()
-    found = re.search(r'type="Int64" (Name="connectivity"[^>]*>)\s*(\S+)', text)
-    assert found is not None
+    match = re.search(r'type="Int64" (Name="connectivity"[^>]*>)\s*(\S+)', text)
+    assert match is not None
     corners = mesh.triangles.astype(float).ravel()
     corners[0] += 0.5
     size = struct.pack("<I", corners.nbytes)
     packed = base64.b64encode(size + corners.tobytes()).decode()
-    text = text.replace(found[0], f'type="Float64" {found[1]}{packed}')
+    text = text.replace(match[0], f'type="Float64" {match[1]}{packed}')
     path.write_text(text)
     with pytest.raises(MeshError, match="must be a whole number"):
         read_mesh(path)

@@ -113,11 +113,11 @@ def test_old_or_new_at_every_step(tmp_path, name, fault, capfd):
         states.append(_plain(_content(folder)))
         work(folder, "again")
         again = {key: text.replace("new", "again") for key, text in after.items()}
-        found = _content(folder)
+        content = _content(folder)
         # What is kept under another name twice is not lost.
-        assert found | again == found, len(outcomes)
-        more = found.keys() - again.keys()
-        assert not more or (name in _IN_STEPS and {found[key] for key in more} == {"old"})
+        assert content | again == content, len(outcomes)
+        more = content.keys() - again.keys()
+        assert not more or (name in _IN_STEPS and {content[key] for key in more} == {"old"})
     assert set(outcomes) <= {"done", "died"} if dies else {"done", "refused", "done all the same"}
     if name != "file kept aside":
         # Nothing between; what was refused has changed nothing.

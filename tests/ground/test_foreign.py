@@ -112,10 +112,10 @@ def test_the_work_ends_in_time_where_the_command_was_killed(library, tmp_path: P
     assert _soon(lambda: not _runs(int(child)))
 
 
-def _soon(found):
+def _soon(ask):
     """What a function gives as soon as it is something, within 20 s."""
     for _ in range(200):
-        if result := found():
+        if result := ask():
             return result
         time.sleep(0.1)
     raise AssertionError

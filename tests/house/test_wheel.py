@@ -21,9 +21,9 @@ def wheel(tmp_path_factory):
         [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)],
         cwd=ROOT, check=True, capture_output=True, timeout=120,
     )  # fmt: skip
-    (found,) = folder.glob("*.whl")
-    with zipfile.ZipFile(found) as opened:
-        yield found, opened
+    (wheel_file,) = folder.glob("*.whl")
+    with zipfile.ZipFile(wheel_file) as opened:
+        yield wheel_file, opened
 
 
 def test_every_file_of_the_source_is_in_it(wheel):

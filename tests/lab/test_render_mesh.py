@@ -252,19 +252,19 @@ def test_natural_texture_is_correlated_as_waves_of_all_directions(coarsest, fine
     distance = np.array([0.001, 0.002, 0.003, 0.005])
     start = np.random.default_rng(9).uniform(0.0, 0.2, (200, 3))
     moved = start + distance[:, None, None] * np.array([0.6, 0.0, 0.8])
-    found = []
+    correlations = []
     for seed in range(100):
         points = np.concatenate([start[None], moved]).reshape(-1, 3)
         grey = natural(points, coarsest=coarsest, finest=finest, contrast=0.02, rng=_rng(seed))
         first, *others = (grey - 0.5).reshape(5, -1)
-        found.append([(first * other).mean() / (first**2).mean() for other in others])
+        correlations.append([(first * other).mean() / (first**2).mean() for other in others])
     expected = np.zeros(4)
     for low, high, power in octaves:
         length = low * (high / low) ** ((np.arange(200) + 0.5) / 200)
         expected += power * np.sinc(2.0 * distance / length[:, None]).mean(axis=0)
     expected /= sum(power for _, _, power in octaves)
     # 48 waves in each of 100 textures of an octave, and 200 places: 0.01 of chance.
-    assert np.abs(np.mean(found, axis=0) - expected).max() < 0.03
+    assert np.abs(np.mean(correlations, axis=0) - expected).max() < 0.03
 
 
 def test_natural_texture_is_a_function_of_the_place():

@@ -275,8 +275,14 @@ def libraries(tmp_path):
 
 def test_candidates_come_newest_first_and_only_once(libraries):
     (libraries / "libLLVM-19.so").symlink_to(libraries / "libLLVM.so.19.1")
-    found = llvm_candidates([str(libraries), str(libraries.parent / "*"), "relative", "Z:/none"])
-    assert [file.name for file in found] == ["libLLVM.so.19.1", "libLLVM-17.so.1", "libLLVM-9.so"]
+    candidates = llvm_candidates(
+        [str(libraries), str(libraries.parent / "*"), "relative", "Z:/none"]
+    )
+    assert [file.name for file in candidates] == [
+        "libLLVM.so.19.1",
+        "libLLVM-17.so.1",
+        "libLLVM-9.so",
+    ]
 
 
 def test_a_file_that_is_no_library_leaves_the_scalar_variant(libraries):

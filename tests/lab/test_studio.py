@@ -92,8 +92,8 @@ def test_gain_drifts_from_picture_to_picture(studio, config, bare):
     drifting = replace(config, pictures=replace(QUIET, gain_drift=0.1))
     ratio = []
     for seed in range(4):
-        found = _picture(studio, drifting, seed=seed)
-        for drifted, plain in zip(found, bare, strict=True):
+        picture = _picture(studio, drifting, seed=seed)
+        for drifted, plain in zip(picture, bare, strict=True):
             middle = (plain > 40) & (drifted < 250)
             ratio.append(np.median(drifted[middle] / plain[middle]))
     # 12 draws: a fifth of chance.

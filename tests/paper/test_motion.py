@@ -145,8 +145,8 @@ def test_rows_of_a_session_follow_its_steps(rigid_session):
     cube = sample()
     moved = MeasuredMotion("s1", None, True, cube.picture, cube.flow, cube.vertices, None)
     lost = MeasuredMotion("s2", None, True, cube.picture, None, None, "no pictures")
-    found = PaperSession(rigid_session, {"joint": SessionFlow(rig(), (moved, lost), ())})
-    flows, vertices = flow_rows(found, "joint"), vertex_rows(found, "joint")
+    session = PaperSession(rigid_session, {"joint": SessionFlow(rig(), (moved, lost), ())})
+    flows, vertices = flow_rows(session, "joint"), vertex_rows(session, "joint")
     assert [row.step for row in flows] == [row.step for row in vertices] == [1, 2]
     assert [row.command for row in flows] == pytest.approx([3e-3, 6e-3], rel=EXACT)
     assert flows[0].count == len(cube.flow.outcome)
@@ -271,9 +271,9 @@ def test_a_motion_is_drawn_by_its_name(monkeypatch):
 
 
 def test_a_motion_that_was_not_measured_is_not_drawn(monkeypatch):
-    found = sample_session(monkeypatch)
+    session = sample_session(monkeypatch)
     with pytest.raises(InputError, match="'s2' cannot be drawn: torn picture"):
-        flow_picture(found, "joint", "s2", "")
+        flow_picture(session, "joint", "s2", "")
 
 
 def test_a_larger_bias_is_drawn_higher():

@@ -85,9 +85,9 @@ def _session(contact: Contact, push: float = PUSH) -> Session:
 def measured() -> Session:
     """What a ball moves that touches a circle of Sneddon's radius."""
     local = LocalSurface(np.array([0.0, 0.0, 1.0]), 0.0)
-    found = tool_contact(Sphere(BALL), local, PUSH, shear_modulus=SHEAR, poisson_ratio=NU)
+    touched = tool_contact(Sphere(BALL), local, PUSH, shear_modulus=SHEAR, poisson_ratio=NU)
     contact = Contact.under(Sphere(BALL), PLACE)
-    session = _session(replace(contact, radius=found.radius, traction=found.traction))
+    session = _session(replace(contact, radius=touched.radius, traction=touched.traction))
     graded = graded_session(refined_session(session))
     (seen,) = session_observations(graded, make_object_model(graded))
     (probing,) = session.probings
@@ -310,8 +310,8 @@ def _displaced(tool: Tool, travel: np.ndarray | None = None) -> Contact:
     potentials = disc_potentials(contact.pressure)
     constant, slope = disc_displacement(disc, potentials, -DOWN, mesh.vertices)
     dent = (constant + 0.3 * slope) @ (FORCE * DOWN) / 2e4
-    found = displaced_contacts(session, _surface(mesh), [_rigid(mesh) + dent], **CONSTANTS)
-    return found.probings[0].contact
+    displaced = displaced_contacts(session, _surface(mesh), [_rigid(mesh) + dent], **CONSTANTS)
+    return displaced.probings[0].contact
 
 
 def _slope() -> np.ndarray:
@@ -362,10 +362,12 @@ def test_a_curved_surface_turns_its_face_sooner() -> None:
     probing = replace(session.probings[0], contact=contact, force=1e-9 * DOWN)
     moved = np.cross(TURN, mesh.vertices - top)
     session = replace(session, probings=(probing,))
-    (found,) = displaced_contacts(session, _surface(mesh), [moved], **CONSTANTS).probings
+    (displaced,) = displaced_contacts(session, _surface(mesh), [moved], **CONSTANTS).probings
     expected = STEP * TIP * big / (TIP + big) * _slope()
     # The mesh's own curvature is known to 2 %.
-    np.testing.assert_allclose((found.contact.point - top)[:2], expected[:2], rtol=0.0, atol=6e-6)
+    np.testing.assert_allclose(
+        (displaced.contact.point - top)[:2], expected[:2], rtol=0.0, atol=6e-6
+    )
 
 
 def test_contacts_without_a_tool_stay() -> None:
@@ -374,7 +376,7 @@ def test_contacts_without_a_tool_stay() -> None:
     (probing,) = session.probings
     hertzian = replace(probing, contact=Contact(TOP, 3e-3, "hertz"))
     session = replace(session, probings=(hertzian,))
-    found = displaced_contacts(session, _surface(mesh), [_rigid(mesh)], **CONSTANTS)
-    assert found.probings[0] is hertzian
+    displaced = displaced_contacts(session, _surface(mesh), [_rigid(mesh)], **CONSTANTS)
+    assert displaced.probings[0] is hertzian
     # The circle of a tool is found anew about the place where it presses.
-    assert with_contact_radii(found, **CONSTANTS).probings[0].contact is hertzian.contact
+    assert with_contact_radii(displaced, **CONSTANTS).probings[0].contact is hertzian.contact

@@ -154,12 +154,12 @@ def test_every_force_sensor_has_errors_of_its_own(session: Session) -> None:
         for probing, sensor in zip(session.probings, sensors, strict=True)
     ]
     errors = replace(session.errors, force_gains={"weights": 0.0})
-    found = fit_session(replace(session, probings=tuple(probings), errors=errors)).estimate
+    estimate = fit_session(replace(session, probings=tuple(probings), errors=errors)).estimate
     turns = [f"turn of the force sensor '{{}}' about {axis}" for axis in "xyz"]
-    shared = [error.name for error in found.errors if "force sensor" in error.name]
+    shared = [error.name for error in estimate.errors if "force sensor" in error.name]
     assert shared == ["gain of the force sensor 'gauge'", *(turn.format("gauge") for turn in turns)]
     # What one probing alone has is its own.
-    unshared = [error.name for error in found.probes[0].errors if "force sensor" in error.name]
+    unshared = [error.name for error in estimate.probes[0].errors if "force sensor" in error.name]
     assert unshared == [turn.format("weights") for turn in turns]
 
 
@@ -223,11 +223,11 @@ def test_progress_rises_to_one(session: Session) -> None:
 
 
 def test_an_error_of_scale_moves_the_moduli(session: Session) -> None:
-    found = fit_session(replace(session, errors=replace(EXACT, length_scale=0.04))).estimate
-    scales = [error.prior_std for error in found.errors if error.name.startswith("scale")]
+    estimate = fit_session(replace(session, errors=replace(EXACT, length_scale=0.04))).estimate
+    scales = [error.prior_std for error in estimate.errors if error.name.startswith("scale")]
     assert scales == [0.04] * 3
     # A scale along one axis of three moves the moduli by about half of it.
-    assert found.shear_modulus.std / found.shear_modulus.value > 0.3 * 0.04
+    assert estimate.shear_modulus.std / estimate.shear_modulus.value > 0.3 * 0.04
 
 
 def _with_rig(session: Session, folder: Path, base_std: float) -> Session:
@@ -259,23 +259,25 @@ def test_what_the_calibration_leaves_open_is_in_the_interval(
     )
     without = fit_session(replace(two, probings=probings)).estimate
     seen = _with_rig(two, tmp_path, 0.02)
-    found = fit_session(replace(seen, probings=probings)).estimate
+    estimate = fit_session(replace(seen, probings=probings)).estimate
     for name in ("shear_modulus", "young_modulus"):
-        first, other = getattr(without, name), getattr(found, name)
+        first, other = getattr(without, name), getattr(estimate, name)
         expected = np.hypot(first.std / first.value, 0.02)
         # The triangulated points are those of second-order differences; the intervals' quantiles.
         assert other.std / other.value == pytest.approx(expected, rel=0.02)
     (error,) = [
         calibration_error
-        for calibration_error in found.errors
+        for calibration_error in estimate.errors
         if "calibration" in calibration_error.name
     ]
     # As large along each of the three axes.
     assert error.prior_std == pytest.approx(0.02 * np.sqrt(3.0), rel=1e-3)
-    assert found.settings["lengths"]["std"] == pytest.approx([0.02] * 3, rel=1e-3)
+    assert estimate.settings["lengths"]["std"] == pytest.approx([0.02] * 3, rel=1e-3)
     # An arm that measured the tip is another scale, and the fit believes the better one.
     better = fit_session(seen).estimate.shear_modulus
-    assert better.std / better.value < 0.85 * found.shear_modulus.std / found.shear_modulus.value
+    assert (
+        better.std / better.value < 0.85 * estimate.shear_modulus.std / estimate.shear_modulus.value
+    )
 
 
 def test_contacts_have_their_own_standard_deviation(still: Session) -> None:
@@ -308,7 +310,7 @@ def test_columns_of_a_contact_are_differences_of_contacts(still: Session) -> Non
     (seen,) = session_observations(first, make_object_model(first))
     contact, load = first.probings[0].contact, _unit_load(first)
     response = seen.response.value(NU)
-    found = columns_of(seen.nuisances[-1], response, load, NU)
+    columns = columns_of(seen.nuisances[-1], response, load, NU)
     curvature = curvature_of(seen.nuisances[-1], response, load, NU)
 
     def moved(other: Contact) -> np.ndarray:
@@ -329,11 +331,11 @@ def test_columns_of_a_contact_are_differences_of_contacts(still: Session) -> Non
         on, back = (moved(replace(contact, point=end)) for end in ends)
         expected = 0.5 * (on - back) / step
         # Coarser cells, and a tangent that is not quite the axis.
-        np.testing.assert_allclose(found[:, k], expected, atol=0.06 * np.abs(expected).max())
+        np.testing.assert_allclose(columns[:, k], expected, atol=0.06 * np.abs(expected).max())
         expected = (on + back - 2.0 * (response @ load)) / step**2
         np.testing.assert_allclose(curvature[:, k, k], expected, atol=0.06 * np.abs(expected).max())
     expected = moved(replace(contact, radius=1.05 * contact.radius)) - response @ load
-    np.testing.assert_allclose(found[:, 2], expected, atol=0.02 * np.abs(expected).max())
+    np.testing.assert_allclose(columns[:, 2], expected, atol=0.02 * np.abs(expected).max())
 
 
 def test_columns_of_a_pose_are_those_of_a_mesh_that_lies_elsewhere(still: Session) -> None:
@@ -350,7 +352,7 @@ def test_columns_of_a_pose_are_those_of_a_mesh_that_lies_elsewhere(still: Sessio
     (seen,) = session_observations(first, model)
     load, response = _unit_load(first), seen.response.value(NU)
     pose, _ = seen.nuisances
-    found = columns_of(pose, response, load, NU)
+    columns = columns_of(pose, response, load, NU)
     centre = first.mesh.vertices.mean(axis=0)
     far = np.linalg.norm(seen.position - first.probings[0].contact.point, axis=1) > 0.015
 
@@ -374,7 +376,7 @@ def test_columns_of_a_pose_are_those_of_a_mesh_that_lies_elsewhere(still: Sessio
             ends.append(seen_from(shift, turn)[far])
         expected = ends[0] - ends[1]
         # Off the contact's dip the field is nearly linear over such a step.
-        error = found[:, k].reshape(-1, 3)[far] - expected
+        error = columns[:, k].reshape(-1, 3)[far] - expected
         assert np.abs(error).max() < 0.05 * np.abs(expected).max()
 
 
@@ -411,11 +413,11 @@ def test_displacements_that_are_averages_have_the_constants_of_their_points(
     session: Session, result: FitResult
 ) -> None:
     through = _seen_through_windows(session)
-    found = fit_session(through).estimate
+    estimate = fit_session(through).estimate
     # Weights have the digits of single precision.
     for name in CONSTANTS:
         expected = getattr(result.estimate, name)
-        assert abs(getattr(found, name).value / expected.value - 1.0) < 1e-5
+        assert abs(getattr(estimate, name).value / expected.value - 1.0) < 1e-5
     alone = tuple(
         replace(probing, displacement=replace(probing.displacement, average=None))
         for probing in through.probings
@@ -441,9 +443,9 @@ def test_where_averages_are_sampled_is_kept_for_further_pushes(
     # All probings have the same sampling points: once for each of the meshes.
     assert every > len(asked) - every > 0
     asked.clear()
-    found = fit_session(through, cache=memory).estimate
+    estimate = fit_session(through, cache=memory).estimate
     assert asked == []
-    assert [getattr(found, name) for name in CONSTANTS] == [
+    assert [getattr(estimate, name) for name in CONSTANTS] == [
         getattr(anew, name) for name in CONSTANTS
     ]
 
@@ -517,8 +519,8 @@ def test_a_turned_session_has_the_same_constants(still: Session) -> None:
 def test_where_poisson_s_ratio_is_open_the_search_ends_all_the_same() -> None:
     """Bent, a beam says nothing about it: the misfit hardly changes over all of its range."""
     beam = read_session(Path(__file__).parents[2] / "examples" / "beam")
-    found = fit_session(beam).estimate
-    assert found.status is Status.from_identifiable(
+    estimate = fit_session(beam).estimate
+    assert estimate.status is Status.from_identifiable(
         {"young_modulus": True, "shear_modulus": False, "poisson_ratio": False}
     )
 
@@ -584,10 +586,10 @@ def test_a_fit_finds_all_that_does_not_depend_on_what_was_measured(
     prepare_body(coarse_session, cache=tmp_path / "cache")
     assert factorised == expected[: len(expected) - left]
     factorised.clear()
-    found = fit_session(coarse_session, cache=tmp_path / "cache").estimate
+    estimate = fit_session(coarse_session, cache=tmp_path / "cache").estimate
     assert factorised == expected[len(expected) - left :]
-    assert found.shear_modulus == plain.shear_modulus
-    assert found.poisson_ratio == plain.poisson_ratio
+    assert estimate.shear_modulus == plain.shear_modulus
+    assert estimate.poisson_ratio == plain.poisson_ratio
 
 
 @pytest.mark.slow

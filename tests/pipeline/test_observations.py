@@ -76,8 +76,8 @@ def session() -> Session:
 
 def _off(session: Session) -> np.ndarray:
     """Errors of nu and E over their standard errors."""
-    found = fit_session(session).estimate
-    young, ratio = found.young_modulus, found.poisson_ratio
+    estimate = fit_session(session).estimate
+    young, ratio = estimate.young_modulus, estimate.poisson_ratio
     true = 2 * SHEAR * (1 + NU)
     return np.abs([(ratio.value - NU) / ratio.std, (young.value - true) / young.std])
 

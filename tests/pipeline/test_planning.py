@@ -212,13 +212,13 @@ def test_what_is_kept_in_memory_changes_no_bit() -> None:
     other = replace(session, probings=(replace(first, force=1.1 * first.force),))
     fit_session(other, cache=memory, material=Material.AUTO)
     before = dict(memory)
-    found = fit_session(session, cache=memory, material=Material.AUTO).estimate
+    estimate = fit_session(session, cache=memory, material=Material.AUTO).estimate
     # All was there: three meshes' factors, and the elements.
     assert memory.keys() == before.keys()
     assert len(before) == 4
     anew = fit_session(session, material=Material.AUTO).estimate
-    assert found.young_modulus == anew.young_modulus
-    assert found.poisson_ratio == anew.poisson_ratio
+    assert estimate.young_modulus == anew.young_modulus
+    assert estimate.poisson_ratio == anew.poisson_ratio
 
 
 def _two_halves() -> Session:
@@ -258,11 +258,11 @@ def _two_halves() -> Session:
 @pytest.mark.slow
 def test_of_a_body_of_two_materials_pushes_tell_what_others_will_do(monkeypatch):
     monkeypatch.setattr(places, "MOST_PLACES", 6)
-    found = plan_next(_two_halves(), count=2)
-    sd = [found.now[PREDICTION], *(precision[PREDICTION] for precision in found.after)]
+    next_pushes = plan_next(_two_halves(), count=2)
+    sd = [next_pushes.now[PREDICTION], *(precision[PREDICTION] for precision in next_pushes.after)]
     assert all(after < before for before, after in itertools.pairwise(sd))
-    alone = [precision[PREDICTION] for precision in found.alone]
-    assert found.chosen[0] == int(np.argmin(alone))
+    alone = [precision[PREDICTION] for precision in next_pushes.alone]
+    assert next_pushes.chosen[0] == int(np.argmin(alone))
 
 
 def test_what_cannot_be_planned() -> None:

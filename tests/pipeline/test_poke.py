@@ -69,8 +69,8 @@ def test_the_plane_half_way_down_carries_the_force(session):
     """Equilibrium of the upper half: the stress over the plane adds up to the force."""
     side = (np.arange(8) + 0.5) * 0.04 / 8
     x, y = (grid.ravel() for grid in np.meshgrid(side, side))
-    found = poked(session, PRESS, interior=np.column_stack([x, y, np.full(64, 0.02)]))
-    stress = found.interior.stress
+    state = poked(session, PRESS, interior=np.column_stack([x, y, np.full(64, 0.02)]))
+    stress = state.interior.stress
     np.testing.assert_allclose(stress, np.swapaxes(stress, 1, 2), atol=1e-9)
     # The midpoint rule of 8 by 8 points leaves 0.12 % of the force; four times that.
     np.testing.assert_allclose(0.04**2 * stress[:, :, 2].mean(axis=0), PRESS, atol=0.005)
@@ -118,15 +118,15 @@ def test_a_tool_touches_what_follows_from_force_and_constants(session):
     probing = replace(session.probings[0], contact=Contact.under(ball, TOP))
     tooled = replace(session, probings=(probing,))
     constants = {"shear_modulus": SHEAR, "poisson_ratio": NU}
-    found = poke_session(tooled, PRESS, tool_contact(tooled, TOP, None), **constants)
+    state = poke_session(tooled, PRESS, tool_contact(tooled, TOP, None), **constants)
     circle = contact_of(ball, LocalSurface(np.array([0.0, 0.0, 1.0]), 0.0), 1.0, **constants)
-    assert found.contact.radius == pytest.approx(circle.radius, rel=1e-6)
+    assert state.contact.radius == pytest.approx(circle.radius, rel=1e-6)
     # Half the radius of the ball, as where a search begins, is another depth.
     known = tool_contact(tooled, TOP, circle.radius)
     assert known.tool is None
     known = replace(known, traction=circle.traction)
     alike = poke_session(tooled, PRESS, known, **constants)
-    np.testing.assert_allclose(found.displacement, alike.displacement, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(state.displacement, alike.displacement, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -140,16 +140,16 @@ def test_the_outward_traction_of_a_tool_lifts_the_surface_under_it(session):
     )
     options = {"shear_modulus": SHEAR, "poisson_ratio": NU, "interior": CENTRE}
     without = poke_session(session, PRESS, plain, **options)
-    found = poke_session(session, PRESS, pulled, **options)
-    lifted = found.displacement[2] - without.displacement[2]
+    state = poke_session(session, PRESS, pulled, **options)
+    lifted = state.displacement[2] - without.displacement[2]
     expected = (1 - 2 * NU) / (2 * SHEAR) * 5 / (4 * np.pi * radius) * outward
     # The edges of the triangles are as long as the radius, the cube is seven radii wide.
     assert lifted == pytest.approx(expected, rel=0.06)
-    np.testing.assert_allclose(found.reaction, without.reaction, atol=1e-9)
+    np.testing.assert_allclose(state.reaction, without.reaction, atol=1e-9)
     # Three radii below it is felt by its square: no resultant.
-    deep = np.abs(found.interior.displacement - without.interior.displacement).max()
+    deep = np.abs(state.interior.displacement - without.interior.displacement).max()
     assert 0.0 < deep < 0.15 * lifted
-    stress = np.abs(found.interior.stress - without.interior.stress).max()
+    stress = np.abs(state.interior.stress - without.interior.stress).max()
     assert 0.0 < stress < 0.15 * np.abs(without.interior.stress).max()
 
 

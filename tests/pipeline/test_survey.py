@@ -224,15 +224,15 @@ def painted(seen, *, contrast=30.0, wave=WAVE):
 
 
 def test_what_the_first_pictures_promise_is_told(seen):
-    found, _ = survey_view(painted(seen))
+    survey, _ = survey_view(painted(seen))
     # The reference camera sees all of the face, the other one 0.92 of it; rims cut windows.
-    assert 0.6 * found.points < found.followed <= found.points
-    assert found.points == pytest.approx((SIDE * FOCAL / ABOVE / JointFlow().step) ** 2, rel=0.15)
-    assert 20 <= found.vertices <= 81
-    assert found.windows >= 12
+    assert 0.6 * survey.points < survey.followed <= survey.points
+    assert survey.points == pytest.approx((SIDE * FOCAL / ABOVE / JointFlow().step) ** 2, rel=0.15)
+    assert 20 <= survey.vertices <= 81
+    assert survey.windows >= 12
     # Of waves in all directions the slope along one of two axes has half of the square; differences
     # of pixels see 4 % less of it.
-    assert found.structure == pytest.approx([np.sqrt(2) / WAVE] * 2, rel=0.15)
+    assert survey.structure == pytest.approx([np.sqrt(2) / WAVE] * 2, rel=0.15)
 
 
 @pytest.mark.parametrize(
@@ -255,16 +255,16 @@ def test_without_pictures_there_is_no_view(seen, cube_probing):
 
 
 def test_pictures_that_show_nothing_in_common_are_no_reason_to_stop(seen):
-    found, notes = survey_view(seen)
-    assert found.points > 0
+    survey, notes = survey_view(seen)
+    assert survey.points > 0
     assert notes[0].startswith("The rig cannot be checked against the pictures: ")
 
 
 @pytest.fixture(scope="module")
 def pair(shared_data: Path) -> Rig:
     """Two cameras with lenses."""
-    found = read_rig(shared_data / "halfball_images" / "rig.toml")
-    return Rig(found.cameras[:2], 0, found.source)
+    real_rig = read_rig(shared_data / "halfball_images" / "rig.toml")
+    return Rig(real_rig.cameras[:2], 0, real_rig.source)
 
 
 def _file(path: Path, rig: Rig, states: list[np.ndarray], *, version: str) -> Path:
@@ -302,9 +302,9 @@ def test_real_matches_of_multidic(shared_data: Path) -> None:
         measured = read_measured(
             "multidic", path, frame=frame, triangulate=lambda t: triangulated(t, swapped)
         )
-        found = np.linalg.norm(np.nanmean(measured.displacement, axis=0))
+        shift = np.linalg.norm(np.nanmean(measured.displacement, axis=0))
         # Three digits are given.
-        assert found == pytest.approx(length, abs=6e-7)
+        assert shift == pytest.approx(length, abs=6e-7)
 
 
 def test_other_cameras_are_refused(pair: Rig) -> None:

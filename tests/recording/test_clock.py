@@ -41,15 +41,15 @@ def _ramps(
     """What a camera makes of each press; `late`: in seconds, of the motion behind the force."""
     rng = np.random.default_rng(seed)
     frame_time = np.arange(0.0, duration(len(touches)) - _OFFSET, _FRAME)
-    found = []
+    ramps = []
     for touch in touches:
         near = (frame_time + _OFFSET > touch.begin - 1.0) & (frame_time + _OFFSET < touch.end + 1.0)
         size = push(frame_time[near] + _OFFSET - late)
         share = _law(size, touch.peak) + noise * rng.standard_normal(near.sum())
         # In the air the tool is seen to move, and nothing is felt.
         air = np.clip((touch.begin - frame_time[near] - _OFFSET) / 0.5, 0.0, 1.0)
-        found.append((frame_time[near], share - 2.0 * air))
-    return found
+        ramps.append((frame_time[near], share - 2.0 * air))
+    return ramps
 
 
 def _thinned(ramps: list[Signal], step: int) -> list[Signal]:
@@ -148,9 +148,9 @@ def test_presses_in_a_row_leave_a_doubt_and_uneven_ones_none() -> None:
         for touch in touches:
             mine = frame_time[(frame_time > touch.begin - 1.0) & (frame_time < touch.end + 1.0)]
             ramps.append((mine, size(mine, starts)))
-        found = fine_clock((0.0, 0.9, 2.6), force, touches, ramps, "c0")
-        assert (found.rival_offset is not None) == doubtful
-        assert len(found.notes) == doubtful
+        clock = fine_clock((0.0, 0.9, 2.6), force, touches, ramps, "c0")
+        assert (clock.rival_offset is not None) == doubtful
+        assert len(clock.notes) == doubtful
 
 
 def test_pictures_of_something_else_are_refused() -> None:

@@ -112,10 +112,10 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     assert covariance_file(tmp_path / "rig.toml") is None
     write_rig_covariance(tmp_path, KNOWN, np.array([0.1, 0.1]))
     for path in (tmp_path, tmp_path / "rig.toml"):
-        found = read_rig_covariance(covariance_file(path))
-        assert found.names == KNOWN.names
-        np.testing.assert_array_equal(found.value, KNOWN.value)
-        np.testing.assert_array_equal(found.covariance, KNOWN.covariance)
+        covariance = read_rig_covariance(covariance_file(path))
+        assert covariance.names == KNOWN.names
+        np.testing.assert_array_equal(covariance.value, KNOWN.value)
+        np.testing.assert_array_equal(covariance.covariance, KNOWN.covariance)
 
 
 def test_what_is_no_covariance_is_refused(tmp_path: Path) -> None:

@@ -78,15 +78,15 @@ def test_nothing_is_asked_of_another_host(saved):
 # A4 less its margins, at 96 to the inch; and a phone.
 @pytest.mark.parametrize(("media", "width"), [("print", 688), ("screen", 390)])
 def test_nothing_is_cut_at_the_right(session, tmp_path, browser, media, width):
-    found = sample_result(session)
+    plain = sample_result(session)
     figures = {
         "prediction_error": 1e-3,
         "homogeneous_error": 2e-3,
         "prediction_score": 1.2,
         "prediction_within": 0.9,
     }
-    probes = tuple(replace(probe, **figures) for probe in found.estimate.probes)
-    result = replace(found, estimate=replace(found.estimate, probes=probes))
+    probes = tuple(replace(probe, **figures) for probe in plain.estimate.probes)
+    result = replace(plain, estimate=replace(plain.estimate, probes=probes))
     saved = Result(session, result).save(tmp_path / "saved")
     assert "within 95 % (%)" in page_of(saved).text
     page = browser.new_page(viewport={"width": width, "height": 900})
@@ -265,13 +265,13 @@ def test_the_report_is_made_again_from_the_folder_alone(saved, tmp_path):
 
 
 def test_pictures_are_drawings_of_the_result(saved):
-    found = re.findall(
+    pictures = re.findall(
         r'src="data:image/(svg\+xml|webp);base64,([^"]+)"',
         (saved / "report.html").read_text(encoding="utf-8"),
     )
-    assert [kind for kind, _ in found] == ["svg+xml", "svg+xml", "webp"]
-    assert base64.b64decode(found[0][1]) == (saved / "probings.svg").read_bytes()
-    assert base64.b64decode(found[2][1]).startswith(b"RIFF")
+    assert [kind for kind, _ in pictures] == ["svg+xml", "svg+xml", "webp"]
+    assert base64.b64decode(pictures[0][1]) == (saved / "probings.svg").read_bytes()
+    assert base64.b64decode(pictures[2][1]).startswith(b"RIFF")
 
 
 def test_a_body_that_creeps_and_stiffens_says_so(saved, tmp_path):

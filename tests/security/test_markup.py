@@ -73,7 +73,7 @@ def test_every_text_of_a_page_is_made_by_few_functions():
             return getattr(node.func, "id", "").endswith(("_html", "_svg"))
         return isinstance(node, ast.Constant) and node.value == ""
 
-    found = 0
+    count = 0
     viewer, page = Path(palpate.viewer.__file__).parent, Path(palpate.bench.page.__file__)
     for file in (*viewer.rglob("*.py"), page):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
@@ -82,9 +82,9 @@ def test_every_text_of_a_page_is_made_by_few_functions():
             values = node.args if name == "add_html" else []
             if isinstance(node, ast.Assign) and getattr(node.targets[0], "attr", "") == "content":
                 values = [node.value]
-            found += len(values)
+            count += len(values)
             assert all(map(is_safe, values)), f"{file}: line {node.lineno}"
-    assert found > 20
+    assert count > 20
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -71,10 +71,10 @@ def test_a_document_shows_it(capsys):
         print_text(NAME)
     out = capsys.readouterr().out
     flat(out)
-    found = json.loads(out)
-    assert found["command"] == ["check", SHOWN]
-    assert found["tables"][0]["rows"] == [{"name": SHOWN, "value": SHOWN}]
-    assert found["sentences"] == [SHOWN]
+    document = json.loads(out)
+    assert document["command"] == ["check", SHOWN]
+    assert document["tables"][0]["rows"] == [{"name": SHOWN, "value": SHOWN}]
+    assert document["sentences"] == [SHOWN]
 
 
 def test_the_command_line_shows_it(cube_session, tmp_path, monkeypatch, capsys):

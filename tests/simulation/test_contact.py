@@ -243,11 +243,11 @@ def test_the_response_is_that_of_the_touching_nodes_however_the_contact_grew(gre
         force = np.random.default_rng(1).normal(size=(len(nodes), 3))
         displacement = np.einsum("iajb,jb->ia", green.compliance[nodes][:, :, nodes], force)
         by_force = (state.given[nodes] == BY_FORCE)[:, None]
-        found = state.response @ np.where(by_force, force, displacement).ravel()
+        product = state.response @ np.where(by_force, force, displacement).ravel()
         wanted = np.where(by_force, displacement, force)
         # Rounding through a condition of 1e2, displacements and forces each by their own size.
         for kind in (by_force, ~by_force) if len(nodes) else ():
-            off = np.abs(found.reshape(-1, 3) - wanted) * kind
+            off = np.abs(product.reshape(-1, 3) - wanted) * kind
             assert off.max() <= 1e-10 * np.abs(wanted * kind).max()
     assert len(counts) > 2
 
@@ -286,9 +286,9 @@ def test_the_deviation_of_the_force_is_that_of_other_constants(neighbours, frict
     ends = [walked(green, places, friction=friction)[-1] for green in neighbours]
     force = [state.tool_force[0] for state in ends]
     slopes = np.stack([force[0] / SHEAR, (force[1] - force[2]) / (2 * STEP)], axis=1)
-    found = force_covariance(neighbours[0], ends[0])[0]
+    covariance = force_covariance(neighbours[0], ends[0])[0]
     wanted = slopes @ SIGMA @ slopes.T
-    assert np.abs(found - wanted).max() < off * np.abs(wanted).max()
+    assert np.abs(covariance - wanted).max() < off * np.abs(wanted).max()
 
 
 def test_a_contact_of_few_nodes_is_said_not_to_be_resolved(green):

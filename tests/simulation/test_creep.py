@@ -71,8 +71,8 @@ def test_febio_gets_the_same_with_the_modulus_of_the_long_term(source, tmp_path)
     read = {element.tag: float(element.text) for element in material if element.tag != "elastic"}
     weights = np.array([read["g1"], read["g2"]])
     at_once = float(material.find("elastic/E").text) * (1.0 + weights.sum())
-    found = replayed(at_once, weights / (1.0 + weights.sum()), np.array([read["t1"], read["t2"]]))
-    np.testing.assert_allclose(found, wanted(), rtol=2e-3)
+    moved = replayed(at_once, weights / (1.0 + weights.sum()), np.array([read["t1"], read["t2"]]))
+    np.testing.assert_allclose(moved, wanted(), rtol=2e-3)
     facts = json.loads((tmp_path / "palpate.json").read_text())["relaxation"]
     assert facts["at_once"] == pytest.approx(at_once, rel=1e-8)
     assert facts["long_term"] == pytest.approx(float(material.find("elastic/E").text), rel=1e-8)
@@ -123,10 +123,10 @@ def test_sofa_creeps_as_measured(source, tmp_path, terms):
     shear[0, 1] = shear[1, 0] = 2.0 * relaxation.unrelaxed
     time, moved = moved_by_sofa(root, lambda t: min(t / RISE, 1.0) * shear, 3000)
     exact = replayed(1.0, shares, times)
-    found = np.interp(np.linspace(0.0, END, STEPS + 1)[1:], time, moved[:, 0, 1])
+    moved_there = np.interp(np.linspace(0.0, END, STEPS + 1)[1:], time, moved[:, 0, 1])
     seen = slice(STEPS // 50, round(time[-1] / END * STEPS))
     # The plugin's step is of first order, and of a hundredth of the shortest time.
-    np.testing.assert_allclose(found[seen], exact[seen], rtol=0.02)
+    np.testing.assert_allclose(moved_there[seen], exact[seen], rtol=0.02)
 
 
 def test_the_body_of_sofa_is_the_written_one_at_its_age(source, tmp_path):
@@ -181,6 +181,6 @@ def test_sfepy_creeps_as_measured(source, tmp_path):
     moved, at_once = moved_by_sfepy(tmp_path, rise=RISE, step=step, count=count)
     time = step * np.arange(count + 1)
     expected = TRUTH.response(time, np.minimum(time / RISE, 1.0))
-    found = moved @ at_once / float(at_once @ at_once)
+    share = moved @ at_once / float(at_once @ at_once)
     # Strain is not linear over a step, of a ninth of the shortest time.
-    np.testing.assert_allclose(found, expected, atol=1e-4)
+    np.testing.assert_allclose(share, expected, atol=1e-4)

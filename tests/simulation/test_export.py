@@ -195,9 +195,9 @@ def test_openusd_names_the_constants_for_newton_and_for_physx(source, exported):
     assert '"PhysicsVolumeDeformableMaterialAPI"' in text
     young = source.estimate.young_modulus.value
     for space in ("physics", "omniphysics"):
-        found = float(text.split(f"float {space}:youngsModulus = ")[1].split()[0])
+        modulus = float(text.split(f"float {space}:youngsModulus = ")[1].split()[0])
         # Nine digits, of a modulus that is made of G and nu again.
-        assert found == pytest.approx(young, rel=1e-8)
+        assert modulus == pytest.approx(young, rel=1e-8)
         assert f"float {space}:poissonsRatio = 0.3\n" in text
         assert f"float {space}:density = " in text
 
@@ -238,10 +238,10 @@ def test_every_format_has_one_writer():
 
 def test_calculix_moves_the_point_as_the_model_does(exported):
     folder = exported["calculix"]
-    found = moved_by_calculix(folder)
+    moved = moved_by_calculix(folder)
     wanted = json.loads((folder / "replay.json").read_text())["displacement"]
     # Tetrahedra of 6 mm under a contact of 14 mm, triangles of 7 mm.
-    assert np.linalg.norm(found - wanted) < 0.02 * np.linalg.norm(wanted)
+    assert np.linalg.norm(moved - wanted) < 0.02 * np.linalg.norm(wanted)
 
 
 @pytest.mark.slow
@@ -332,8 +332,8 @@ def test_what_the_data_do_not_determine_is_written_as_assumed(source, tmp_path):
     body = export_fit(tmp_path, undetermined, "obj")
     assert body.notes[0] == status.advice
     facts = json.loads((tmp_path / "palpate.json").read_text())
-    found = {name: constant["determined"] for name, constant in facts["constants"].items()}
-    assert found == known
+    determined = {name: constant["determined"] for name, constant in facts["constants"].items()}
+    assert determined == known
     readme = (tmp_path / "README.txt").read_text()
     assert re.search(r"poisson_ratio +not determined +\(", readme)
     assert re.search(r"Written: young_modulus \S+ Pa, poisson_ratio \S+ \(assumed\), den", readme)

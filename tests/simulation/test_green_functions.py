@@ -155,10 +155,10 @@ def test_held_and_unknown_vertices_are_refused(session):
 
 def test_the_covariance_is_the_one_that_gives_all_three_deviations(session):
     estimate = sample_result(session).estimate
-    found = estimated_material(estimate)
-    slope = np.array([2 * (1 + found.poisson_ratio), 2 * found.shear_modulus])
+    material = estimated_material(estimate)
+    slope = np.array([2 * (1 + material.poisson_ratio), 2 * material.shear_modulus])
     # Rounding.
-    assert np.sqrt(slope @ found.covariance @ slope) == pytest.approx(estimate.young_modulus.std)
+    assert np.sqrt(slope @ material.covariance @ slope) == pytest.approx(estimate.young_modulus.std)
 
 
 def test_impossible_materials_are_refused():

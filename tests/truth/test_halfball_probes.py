@@ -55,9 +55,9 @@ def test_the_field_around_every_probing(compared):
 
 @pytest.mark.slow
 def test_the_scale_of_the_field_is_the_stiffness(compared):
-    found, true = (np.concatenate([pair[k].ravel() for pair in compared[0]]) for k in (0, 1))
+    predicted, true = (np.concatenate([pair[k].ravel() for pair in compared[0]]) for k in (0, 1))
     # A wrong scale would be a wrong modulus: the issue asks for 0.5 % in E.
-    assert abs(found @ true / (true @ true) - 1) < 2e-3
+    assert abs(predicted @ true / (true @ true) - 1) < 2e-3
 
 
 @pytest.mark.slow

@@ -131,9 +131,9 @@ def test_maps_lead_to_the_pixel_with_the_same_ray(kind):
         pixel = sources[:, ::9, ::9].reshape(2, -1).T.astype(np.float64)
         inside = (pixel > -0.5).all(axis=1) & (pixel < [SHAPE[1], SHAPE[0]]).all(axis=1)
         assert inside.mean() > 0.4
-        _, found = rays(before, pixel[inside])
+        _, direction = rays(before, pixel[inside])
         # float32 holds a pixel of 300 to 1.5e-5 px, which is 3e-8 of a ray.
-        np.testing.assert_allclose(found, wanted[inside], atol=1e-7)
+        np.testing.assert_allclose(direction, wanted[inside], atol=1e-7)
 
 
 def _rendered(camera, size):
@@ -153,16 +153,16 @@ def test_remapped_pictures_are_those_of_the_rectified_cameras(kind):
     rectified = rectify(given, SHAPE)
     for index, (before, after) in enumerate(zip(given, rectified.cameras, strict=True)):
         taken = _rendered(before, (SHAPE[1], SHAPE[0])).astype(np.float32)
-        found = remapped(rectified, index, taken)
+        picture = remapped(rectified, index, taken)
         wanted = _rendered(after, after.size)
-        inside = np.isfinite(found)
+        inside = np.isfinite(picture)
         assert inside.sum() > 0.7 * taken.size
         # Fifteen pixels in the spline knows nothing of the edge. Its error on a wave of 26 px is
         # (2 pi / 26)^4 / 384 of 50 grey levels, 5e-4; float32 places err by 2e-5 px of 17 levels.
         around, edge = np.ones((31, 31), np.uint8), cv2.BORDER_CONSTANT
         deep = cv2.erode(inside.astype(np.uint8), around, borderType=edge, borderValue=0) > 0
         assert deep.sum() > 0.5 * taken.size
-        assert np.abs(found - wanted)[deep].max() < 4e-3
+        assert np.abs(picture - wanted)[deep].max() < 4e-3
 
 
 def test_rendered_rig_of_three(shared_data):

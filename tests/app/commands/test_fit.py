@@ -237,8 +237,8 @@ def test_failures_leave_nothing(palpate, calls, cube_session, tmp_path, monkeypa
         raise error
 
     monkeypatch.setattr(fit_command, "fit_session", fit_session)
-    found, out, err = palpate("fit", cube_session)
-    assert (found, out) == (code, "")
+    actual, out, err = palpate("fit", cube_session)
+    assert (actual, out) == (code, "")
     assert err == f"palpate: {error}\n"
     assert [path.name for path in tmp_path.iterdir()] == ["cube"]
 

@@ -57,8 +57,8 @@ images = "s1_{camera}.png"
 
 
 def motion(name, sampled, *, probing=None, last=True):
-    found = (sampled.flow, sampled.vertices, None)
-    return MeasuredMotion(name, probing, last, sampled.picture, *found)
+    measured_motion = (sampled.flow, sampled.vertices, None)
+    return MeasuredMotion(name, probing, last, sampled.picture, *measured_motion)
 
 
 def lost(name, failure):
@@ -94,10 +94,10 @@ def measured(monkeypatch):
     def measured_motions(session, *, method, pose, progress, parts):
         measurement.asked.append((session, method, pose))
         wanted = {None, *(probing.name for probing in session.probings)}
-        for found in measurement.motions:
+        for sampled_motion in measurement.motions:
             progress("points [a]", 0.5)
-            if found.probing in wanted:
-                yield rig(), found, measurement.notes
+            if sampled_motion.probing in wanted:
+                yield rig(), sampled_motion, measurement.notes
 
     monkeypatch.setattr(flow_command, "measured_motions", measured_motions)
     return measurement
@@ -124,10 +124,10 @@ def test_the_csv_is_in_the_unit_of_the_session(palpate, measured, session, tmp_p
     field, notes = read_displacement(path, mesh, metres_per_unit=1e-3)
     assert notes == ()
     known = np.isfinite(measured.motions[1].vertices.displacement[:, 0])
-    found = field.displacement[np.isfinite(field.displacement[:, 0])]
+    displacement = field.displacement[np.isfinite(field.displacement[:, 0])]
     # The mesh file and the unit cost a few roundings.
     expected = measured.motions[1].vertices.displacement[known]
-    np.testing.assert_allclose(np.sort(found[:, 0]), np.sort(expected[:, 0]), rtol=1e-12)
+    np.testing.assert_allclose(np.sort(displacement[:, 0]), np.sort(expected[:, 0]), rtol=1e-12)
     assert np.genfromtxt(path, delimiter=",", names=True)["z"].max() == pytest.approx(40.0)
 
 

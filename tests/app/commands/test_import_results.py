@@ -219,10 +219,10 @@ def test_the_old_session_or_the_new_one_wherever_it_is_killed(palpate, bare, top
         words = [*command[:3], str(folder), *command[3:]]
         outcome = in_child(lambda words=words: main(words), folder, step=step)
         read_session(folder, probes=["n01"])
-        found = {name: content for name, content in _tree(folder).items() if name[0] != "."}
+        visible_files = {name: content for name, content in _tree(folder).items() if name[0] != "."}
         # The new file may be there before the session names it.
-        assert found in (before, before | {"n01_2.csv": after["n01_2.csv"]}, after)
-        seen.append(found)
+        assert visible_files in (before, before | {"n01_2.csv": after["n01_2.csv"]}, after)
+        seen.append(visible_files)
     assert seen[0] == before
     assert seen[-1] == after
     assert len(seen) > 5

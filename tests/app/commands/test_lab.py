@@ -196,7 +196,7 @@ def bench(monkeypatch, tmp_path):
         assert distribute is MAP
         progress("doing [it]", 0.5)
         session, names = session_of(config, folder)
-        found = {
+        flows = {
             method: SessionFlow(
                 rig(),
                 tuple(moved(n, TIMES[method] * k * STEP) for k, n in enumerate(names, start=1)),
@@ -204,7 +204,7 @@ def bench(monkeypatch, tmp_path):
             )
             for method in METHODS
         }
-        return PaperSession(session, found)
+        return PaperSession(session, flows)
 
     monkeypatch.setattr("palpate.paper.experiments.measured_session", measured_session)
     monkeypatch.setattr(lab_command, "choose_variant", lambda: Variant("none", "no [bench]", None))

@@ -113,10 +113,10 @@ def test_charges_stand_for_all_sources_inside(count, most):
     outside = 2.5 * points_on_sphere(91)
     outside[::2] *= 3.0
     wanted = strength @ inverse_distances(inside, outside)
-    found = charges @ inverse_distances(sphere.charge, outside)
+    potential = charges @ inverse_distances(sphere.charge, outside)
     # Harmonics that k charges do not tell apart, of a degree of about the root of k, have fallen
     # with (0.8 / 2.5)^degree.
-    assert np.abs(found / wanted - 1.0).max() < most
+    assert np.abs(potential / wanted - 1.0).max() < most
 
 
 def test_skeleton_points_interpolate_the_others():

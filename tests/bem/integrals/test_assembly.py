@@ -162,7 +162,7 @@ def test_a_row_does_not_depend_on_its_block(surface, collocation, kernel):
 def test_a_far_row_is_a_plain_sum(surface, kernel):
     point = np.array([[0.3, -2.0, 1.5]])
     off = Collocation(point, np.array([-1]), np.array([-1]), np.zeros((1, 3)))
-    found = by_row(assembled(surface, off, kernel, Quadrature(tolerance=1e-9)))[0]
+    integrals = by_row(assembled(surface, off, kernel, Quadrature(tolerance=1e-9)))[0]
     barycentric, weight = triangle_rule(13)
     sources = element_points(surface.element_nodes, barycentric)
     r = sources[..., :3] - point
@@ -183,7 +183,7 @@ def test_a_far_row_is_a_plain_sum(surface, kernel):
     np.add.at(at_nodes, nodes.element, local)
     expected = at_nodes[: nodes.n_nodes] + nodes.weights.T @ at_nodes[nodes.n_nodes :]
     # The tolerance asked for, of the largest entry.
-    assert np.abs(found - expected).max() < 1e-8 * np.abs(expected).max()
+    assert np.abs(integrals - expected).max() < 1e-8 * np.abs(expected).max()
 
 
 @pytest.fixture(scope="module")

@@ -108,8 +108,8 @@ def test_between_vertices_a_coarse_mesh_has_the_dip_of_a_fine_one():
     with_dip = interpolated + (constant + NU * slope) @ PUSH
     largest = np.linalg.norm(exact[about], axis=1).max()
     errors = []
-    for found in (with_dip, interpolated):
-        error = found - exact[about]
+    for displacement in (with_dip, interpolated):
+        error = displacement - exact[about]
         # The rims of the two supports differ, so one ball has moved a little farther as a whole.
         errors.append(np.linalg.norm(error - error.mean(axis=0), axis=1).max() / largest)
     # The element is wider than the patch; the interpolation of what is smooth leaves 1 %.
@@ -164,8 +164,8 @@ def test_the_correction_holds_up_to_an_edge_of_the_object():
     same = np.linalg.norm(coarse_vertices[:, None] - vertices[None], axis=2).argmin(axis=1)
     _, without = pressed_cube(4, corrected=False)
     errors = [
-        np.linalg.norm(found - exact[same]) / np.linalg.norm(exact[same])
-        for found in (with_correction, without)
+        np.linalg.norm(displacement - exact[same]) / np.linalg.norm(exact[same])
+        for displacement in (with_correction, without)
     ]
     # A half space knows nothing of the edge: what that changes stays, a little more than half.
     assert errors[0] < 0.75 * errors[1]

@@ -58,9 +58,9 @@ def test_load_columns_are_kelvins_tensor():
     tensor = np.stack([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
     expected = 0.5 * ((3 - 4 * nu) * (xx + yy + zz) * np.eye(3)[:, :, None] + tensor)
     balance = np.diag([1.0, 2.0, 3.0])
-    found = load_columns(fields, balance).at(nu)[:, 3:]
-    np.testing.assert_allclose(found[:15].reshape(3, 5, 3).transpose(0, 2, 1), expected, rtol=1e-13)
-    assert np.array_equal(found[15:], balance)
+    right = load_columns(fields, balance).at(nu)[:, 3:]
+    np.testing.assert_allclose(right[:15].reshape(3, 5, 3).transpose(0, 2, 1), expected, rtol=1e-13)
+    assert np.array_equal(right[15:], balance)
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
@@ -70,11 +70,11 @@ def test_a_moved_support_is_what_the_matrix_would_take_away(ball, nu):
     surface = ball.surface
     motion = np.random.default_rng(3).normal(size=surface.mesh.vertices.shape)
     held = ball.unknowns.held_vertices
-    found = support_columns(ball, motion[:, :, None]).at(nu)[:, 0]
+    right = support_columns(ball, motion[:, :, None]).at(nu)[:, 0]
     free = replace(ball.unknowns, free_vertices=held)
     matrix = system_matrix(replace(ball, unknowns=free), nu)
     np.testing.assert_allclose(
-        found, -matrix[:, : 3 * held.size] @ motion[held].ravel(), rtol=0, atol=1e-12
+        right, -matrix[:, : 3 * held.size] @ motion[held].ravel(), rtol=0, atol=1e-12
     )
 
 

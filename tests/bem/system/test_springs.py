@@ -109,8 +109,8 @@ def test_what_a_softer_support_changes(glued, compliance):
     unit = springs.compliance(np.ones(1))
 
     def solved(at, compliance_derivatives):
-        found = make_spring_system(factors, at * unit, compliance_derivatives)
-        return found.solve(right.on_springs(at * unit, compliance_derivatives).at(NU))
+        system = make_spring_system(factors, at * unit, compliance_derivatives)
+        return system.solve(right.on_springs(at * unit, compliance_derivatives).at(NU))
 
     step = 1e-5
     difference = (

@@ -98,8 +98,8 @@ def test_a_platen_that_gives_more_than_it_is_said_to_is_an_error_with_a_prior():
     # The platen's part of the motion is told apart from the block's by points at all heights.
     assert abs(given.value - 1.0 / STIFFNESS) < 4.0 * given.std < 0.2 / STIFFNESS
     for name, value in (("young_modulus", YOUNG), ("poisson_ratio", NU)):
-        found = getattr(estimate, name)
-        assert abs(found.value - value) < 3.0 * found.std, name
+        constant = getattr(estimate, name)
+        assert abs(constant.value - value) < 3.0 * constant.std, name
     assert estimate.young_modulus.value == pytest.approx(YOUNG, rel=0.01)
 
 
@@ -208,14 +208,14 @@ def test_a_stiff_block_under_its_weight(gravity):
     shear, density, gravity = 1e11, 1000.0, np.array(gravity)
     given = replace(session(STIFFNESS, directions=None), density=density, gravity=gravity)
     (seen,) = session_observations(given, make_object_model(given), shear_modulus=shear)
-    found = seen.response.value(NU)[:, 3].reshape(-1, 3) / shear
+    displacement = seen.response.value(NU)[:, 3].reshape(-1, 3) / shear
     weight = density * gravity * SIZE.prod()
     inertia = SIZE[0] ** 3 * SIZE[1] / 12
     turn = np.cross([0.0, 0.0, 0.5 * SIZE[2]], weight) / (STIFFNESS * inertia)
     exact = weight / (STIFFNESS * AREA) + np.cross(turn, seen.position - AXIS)
     # Moments balance to the mesh's accuracy; what the particular solution of gravity presses on the
     # foot has 7 % of the moment.
-    np.testing.assert_allclose(found, exact, atol=0.02 * np.abs(exact).max())
+    np.testing.assert_allclose(displacement, exact, atol=0.02 * np.abs(exact).max())
 
 
 def test_a_poke_on_a_platen_that_gives():

@@ -161,17 +161,17 @@ def test_it_is_the_traction_itself(system: BoundarySystem) -> None:
     # Pushed down, along minus z.
     loads, forces = zip(*outward_pushes(patch, UP, -UP), strict=True)
     dips = indentation_corrections(system.surface, loads)
-    found = sum(
+    columns = sum(
         load_right_hand(system, [load], [dip]).terms @ force
         for load, dip, force in zip(loads, dips, forces, strict=True)
     )
     # Six-node triangles at the rim miss some of its square root, and
     # know nothing of the dip between the vertices: 7 %.
-    down = found[:, :-3]
+    down = columns[:, :-3]
     miss = np.linalg.norm(down - direct.terms[:, :-3, 0]) / np.linalg.norm(down)
     assert miss < 0.1
     # It has no resultant.
-    assert np.abs(found[:, -3:]).max() < 1e-12 * np.abs(found).max()
+    assert np.abs(columns[:, -3:]).max() < 1e-12 * np.abs(columns).max()
 
 
 def test_what_has_an_outward_part(system: BoundarySystem) -> None:

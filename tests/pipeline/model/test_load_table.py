@@ -74,8 +74,8 @@ def _without_outward(session: Session) -> Session:
     return replace(session, probings=tuple(probings))
 
 
-def _close(found: np.ndarray, wanted: np.ndarray) -> None:
-    np.testing.assert_allclose(found, wanted, atol=1e-12 * np.abs(wanted).max())
+def _close(actual: np.ndarray, wanted: np.ndarray) -> None:
+    np.testing.assert_allclose(actual, wanted, atol=1e-12 * np.abs(wanted).max())
     assert wanted.any()
 
 
@@ -164,9 +164,9 @@ def test_a_perturbed_dip_is_its_share_of_what_the_dip_adds(
     loads = [surface_load(patch) for patch in table.patches.values()]
     dips = indentation_corrections(system.surface, loads)
     errors = dict(zip(table.perturbation_columns.tolist(), table.perturbations, strict=True))
-    found = [(k, perturbation) for k, perturbation in errors.items() if perturbation.dip]
-    assert len(found) == 2
-    for column, perturbation in found:
+    perturbed = [(k, perturbation) for k, perturbation in errors.items() if perturbation.dip]
+    assert len(perturbed) == 2
+    for column, perturbation in perturbed:
         dip = dips[table.patch_of[perturbation.probing]]
         force = session.probings[perturbation.probing].force
         wanted = DIP_ERROR * correction_columns(system, [dip]).terms @ force

@@ -261,5 +261,5 @@ images = { rest = "rest_{camera}.png", loaded = ["n01_{camera}.png"] }
         (tmp_path / name).write_text(session)
     (tmp_path / "calibration").mkdir()
     (tmp_path / "calibration" / "cam0.xml").write_text("")
-    found = {path.relative_to(tmp_path).as_posix() for path in session_files(tmp_path)}
-    assert found == {*names, "calibration/cam0.xml"} - {"n1.csv", "other.png"}
+    listed = {path.relative_to(tmp_path).as_posix() for path in session_files(tmp_path)}
+    assert listed == {*names, "calibration/cam0.xml"} - {"n1.csv", "other.png"}

@@ -146,12 +146,12 @@ def _own_matches(path):
     guess = re.compile(r'<guess type="(\w+)" score="[^"]*" img="([^"]+)_([01])\.tif">(\S+) (\S+)')
     left, right = [], []
     for block in re.findall(r"<startpoint.*?</startpoint>", text, re.DOTALL):
-        found = {
+        marks = {
             (stem, side): (kind, float(x), float(y))
             for kind, stem, side, x, y in guess.findall(block)
         }
-        for (stem, side), match in found.items():
-            other = found.get((stem, "1"))
+        for (stem, side), match in marks.items():
+            other = marks.get((stem, "1"))
             if side == "0" and other is not None and other[0] == "auto":
                 left.append(match[1:])
                 right.append(other[1:])
@@ -164,9 +164,9 @@ def test_vic3d_calibration_fits_the_matches_in_its_own_file(shared_data, name):
     path = shared_data / "real" / name
     matches = _own_matches(path)
     assert matches.shape[1] >= 1
-    found = triangulate(read_rig(path), matches, 0.05)
+    points = triangulate(read_rig(path), matches, 0.05)
     # Half the distance from the epipolar line per camera; VIC-3D reports 0.03 px for such rigs.
-    assert found.residual.max() < 0.05
+    assert points.residual.max() < 0.05
 
 
 def test_vic3d_object_frame_is_dices(shared_data):
@@ -180,10 +180,10 @@ def test_vic3d_object_frame_is_dices(shared_data):
         ]
     )
     model = 1e-3 * gold_columns(gold, *(f"MODEL_COORDINATES_{axis}" for axis in "XYZ"))
-    found = triangulate(read_rig(folder / "cal.xml"), matches, 1.0)
+    points = triangulate(read_rig(folder / "cal.xml"), matches, 1.0)
     # These pictures are of another state of the rig: the rays pass each other by 17 px, which DICe
     # weighs otherwise and without the lens: 0.4 mm of 0.38 m.
-    np.testing.assert_allclose(found.point, model, rtol=0.0, atol=1e-3)
+    np.testing.assert_allclose(points.point, model, rtol=0.0, atol=1e-3)
 
 
 def test_matchid_with_decimal_commas(tmp_path):
@@ -288,9 +288,9 @@ def test_matchid_calibration_fits_dices_matches(shared_data, tmp_path):
     fine = gold["SIGMA"] >= 0.0
     left = gold_columns(gold, "COORDINATE_X", "COORDINATE_Y")[fine]
     right = gold_columns(gold, "STEREO_COORDINATES_X", "STEREO_COORDINATES_Y")[fine]
-    found = triangulate(read_rig(path), np.stack([left, right]), 0.05)
+    points = triangulate(read_rig(path), np.stack([left, right]), 0.05)
     # Any other order of the angles leaves 0.4 px or more.
-    assert np.sqrt(np.mean(found.residual**2)) < 0.07
+    assert np.sqrt(np.mean(points.residual**2)) < 0.07
 
 
 @pytest.mark.parametrize(

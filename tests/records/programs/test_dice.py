@@ -214,12 +214,12 @@ def test_two_calibrations_of_one_rig_agree_on_dices_matches(shared_data):
     depths, shapes = [], []
     for name in ("cal_vic3d.xml", "cal_pyaldic.xml"):
         rig = read_rig(folder / name)
-        found = triangulate(rig, matches, 0.05)
+        points = triangulate(rig, matches, 0.05)
         # Both programs report calibrations of some 0.05 px.
-        assert np.sqrt(np.mean(found.residual**2)) < 0.06
+        assert np.sqrt(np.mean(points.residual**2)) < 0.06
         pose = rig.cameras[0].T_camera_object
-        depths.append(found.point @ pose[2, :3] + pose[2, 3])
-        shapes.append(found.point)
+        depths.append(points.point @ pose[2, :3] + pose[2, 3])
+        shapes.append(points.point)
     # Two independent calibrations with a target: a fraction of a per cent.
     assert np.median(depths[0] / depths[1]) == pytest.approx(1.0, abs=0.003)
     assert np.median(depths[0]) == pytest.approx(0.383, abs=0.005)

@@ -147,12 +147,12 @@ def _read(path):
 @pytest.mark.parametrize("compressed", [False, True])
 def test_what_was_saved_comes_back(tmp_path, compressed):
     savemat(tmp_path / "a.mat", CONTENT, do_compression=compressed)
-    found = _read(tmp_path / "a.mat")
-    np.testing.assert_array_equal(found["cell"][0], np.eye(2))
-    assert found["cell"][2] == "text"
-    assert found["struct"]["a"] == 1 + 2j
-    assert found["struct"]["b"]["c"] == 3.0
-    np.testing.assert_array_equal(found["whole"], [1, 2, 3])
+    value = _read(tmp_path / "a.mat")
+    np.testing.assert_array_equal(value["cell"][0], np.eye(2))
+    assert value["cell"][2] == "text"
+    assert value["struct"]["a"] == 1 + 2j
+    assert value["struct"]["b"]["c"] == 3.0
+    np.testing.assert_array_equal(value["whole"], [1, 2, 3])
 
 
 def test_a_wrong_bit_anywhere_in_the_structure_is_survived(tmp_path):

@@ -126,13 +126,13 @@ def test_fewer_unknowns_of_a_window_leave_less_noise_and_no_bias(flows, name):
     motion = MOTIONS[name]
     state = _still()
     views = noisy_views(example_views(name), NOISE, 101)
-    found = {"affine": flows[name]}
+    by_shape = {"affine": flows[name]}
     for shape in ("shift", "quadratic"):
-        found[shape] = _flow(state, views, JointFlow(shape=shape))
-    good = np.logical_and.reduce([is_valid(flow) for flow in found.values()])
+        by_shape[shape] = _flow(state, views, JointFlow(shape=shape))
+    good = np.logical_and.reduce([is_valid(flow) for flow in by_shape.values()])
     assert good.sum() > 0.95 * is_valid(flows[name]).sum()
     rms = {}
-    for shape, flow in found.items():
+    for shape, flow in by_shape.items():
         error = _error(flow, motion)[good]
         assert np.abs(error / _sigma(flow)[good]).max() < 6.0
         rms[shape] = np.sqrt((error[:, :2] ** 2).mean())

@@ -331,17 +331,17 @@ def test_vertices_are_the_papers_mean():
     vertices = np.array(
         [[0.0, 0.0, 0.0], [0.004, -0.003, 0.002], [0.5, 0.0, 0.0], [0.0, 0.0, 1e-3]]
     )
-    found = lang_pai_vertices(_flow(point, motion), vertices, np.array([[0, 1, 2]]))
+    measured = lang_pai_vertices(_flow(point, motion), vertices, np.array([[0, 1, 2]]))
     for v in (0, 1):
         mean, covariance, count = _brute_vertex(point, motion, vertices[v])
         assert 30 < count < 100
-        np.testing.assert_allclose(found.displacement[v], mean, rtol=1e-12)
-        np.testing.assert_allclose(found.covariance[v], covariance, rtol=1e-9, atol=1e-20)
-        assert found.count[v] == count
+        np.testing.assert_allclose(measured.displacement[v], mean, rtol=1e-12)
+        np.testing.assert_allclose(measured.covariance[v], covariance, rtol=1e-9, atol=1e-20)
+        assert measured.count[v] == count
     # Too far from all flow; of no triangle.
-    assert np.isnan(found.displacement[2:]).all()
-    assert np.isnan(found.covariance[2:]).all()
-    assert not found.count[2:].any()
+    assert np.isnan(measured.displacement[2:]).all()
+    assert np.isnan(measured.covariance[2:]).all()
+    assert not measured.count[2:].any()
 
 
 def test_the_limit_of_outliers_is_wider_where_there_are_few_motions():
@@ -351,9 +351,9 @@ def test_the_limit_of_outliers_is_wider_where_there_are_few_motions():
     point = (vertices[:, None] + rng.uniform(-0.005, 0.005, (201, 6, 3))).reshape(-1, 3)
     motion = 1e-4 * rng.standard_t(1.0, (1206, 3))
     triangles = np.arange(201).reshape(-1, 3)
-    found = lang_pai_vertices(_flow(point, motion), vertices, triangles)
+    measured = lang_pai_vertices(_flow(point, motion), vertices, triangles)
     counts = [_brute_vertex(point, motion, vertex)[2] for vertex in vertices]
-    np.testing.assert_array_equal(found.count, counts)
+    np.testing.assert_array_equal(measured.count, counts)
     assert {4, 5, 6} <= set(counts)
 
 
@@ -377,10 +377,10 @@ def test_covariance_covers_the_error_of_independent_motions():
     vertices = np.repeat(0.1 * np.arange(2000.0)[:, None], 3, axis=1)
     triangles = np.arange(1998).reshape(-1, 3)
     # The corners of each cube are 0.87 cm away; the limit is at 7 of a component's sigmas.
-    found = lang_pai_vertices(
+    measured = lang_pai_vertices(
         _flow(point.reshape(-1, 3), motion.reshape(-1, 3)), vertices, triangles
     )
-    error, covariance = found.displacement[:1998], found.covariance[:1998]
+    error, covariance = measured.displacement[:1998], measured.covariance[:1998]
     square = np.einsum("vi,vij,vj->v", error, np.linalg.inv(covariance), error)
     # Few samples: Hotelling's T^2 of 50 draws has the mean 3 * 49 / (49 - 3 - 1).
     assert abs(square.mean() / (3.0 * 49 / 45) - 1.0) < 0.08
@@ -456,9 +456,9 @@ def test_rendered_translation(shared_data):
         whole = np.einsum("ni,nij,nj->n", error, np.linalg.inv(flow.covariance[valid]), error)
         # Median of chi square with three degrees of freedom: 2.37.
         assert 0.7 < np.sqrt(np.median(whole) / 2.37) < 1.4
-    found = lang_pai_vertices(flows[0], mesh.vertices, mesh.triangles)
-    good = np.isfinite(found.displacement).all(axis=1)
-    error = found.displacement[good] - [0.0025, 0.0, 0.0]
+    measured = lang_pai_vertices(flows[0], mesh.vertices, mesh.triangles)
+    good = np.isfinite(measured.displacement).all(axis=1)
+    error = measured.displacement[good] - [0.0025, 0.0, 0.0]
     assert good.sum() > 900
     # Steps of the rounding are shared by neighbours: averaging over a centimetre leaves them.
     assert 0.1e-3 < np.sqrt((error**2).sum(axis=1).mean()) < 0.4e-3

@@ -58,31 +58,31 @@ def _pixels(step=5):
 def test_whole_pixels_are_found_exactly(motion, noise):
     """To the very ends of the search range; no window of speckle looks like another one."""
     pixel = _pixels()
-    found = _vote(
+    votes = _vote(
         _instant((0, 0), REST, noise=noise),
         _instant(motion, LOADED, noise=noise, seed=10),
         pixel,
     )
-    assert (found.outcome == Outcome.VALID).mean() > 0.99
-    good = found.outcome == Outcome.VALID
+    assert (votes.outcome == Outcome.VALID).mean() > 0.99
+    good = votes.outcome == Outcome.VALID
     assert np.array_equal(
-        found.pixel[good] - pixel[good], np.broadcast_to(motion, pixel.shape)[good]
+        votes.pixel[good] - pixel[good], np.broadcast_to(motion, pixel.shape)[good]
     )
-    assert (found.agreed[good] == 3).all()
+    assert (votes.agreed[good] == 3).all()
     # Interpolation between pixels blurs by different amounts before and after; noise of 1.5 grey
     # levels beside a contrast of 45.
-    assert np.median(found.score) > 0.95
+    assert np.median(votes.score) > 0.95
     if not noise:
-        assert not found.distance.any()
+        assert not votes.distance.any()
 
 
 @pytest.mark.parametrize(("fraction", "whole"), [(0.3, 0), (0.7, 1), (-0.3, 0), (-0.7, -1)])
 def test_a_fraction_of_a_pixel_is_rounded(fraction, whole):
     """The paper has no sub-pixel step: the nearest pixel is most alike, nearly always."""
     pixel = _pixels()
-    found = _vote(_instant((0, 0), REST), _instant((2 + fraction, -1), LOADED), pixel)
-    good = found.outcome == Outcome.VALID
-    moved = found.pixel[good] - pixel[good]
+    votes = _vote(_instant((0, 0), REST), _instant((2 + fraction, -1), LOADED), pixel)
+    good = votes.outcome == Outcome.VALID
+    moved = votes.pixel[good] - pixel[good]
     assert good.mean() > 0.98
     assert (moved == [2 + whole, -1]).all(axis=1).mean() > 0.97
 
@@ -96,28 +96,28 @@ def test_one_camera_that_contradicts_is_enough_to_reject(camera, extra):
     """
     pixel = _pixels(7)
     after = _instant((3, 1), LOADED, wrong=(camera, extra))
-    found = _vote(_instant((0, 0), REST), after, pixel)
-    assert (found.outcome == Outcome.REPROJECTION).all()
-    assert (found.agreed < 3).all()
+    votes = _vote(_instant((0, 0), REST), after, pixel)
+    assert (votes.outcome == Outcome.REPROJECTION).all()
+    assert (votes.agreed < 3).all()
     # Where the two that agree have the highest sum, the third is off by all of the extra.
-    winner = (found.pixel - pixel == [3, 1]).all(axis=1)
+    winner = (votes.pixel - pixel == [3, 1]).all(axis=1)
     assert winner.mean() > 0.2
-    assert (found.agreed[winner] == 2).all()
-    np.testing.assert_allclose(found.distance[winner], np.hypot(*extra) / np.sqrt(3.0), atol=1e-12)
+    assert (votes.agreed[winner] == 2).all()
+    np.testing.assert_allclose(votes.distance[winner], np.hypot(*extra) / np.sqrt(3.0), atol=1e-12)
 
 
 @pytest.mark.parametrize("camera", [0, 1, 2])
 @pytest.mark.parametrize("extra", [(1, 0), (0, -1), (1, 1)])
 def test_the_eight_pixels_around_the_best_count_as_agreement(camera, extra):
-    found = _vote(
+    votes = _vote(
         _instant((0, 0), REST),
         _instant((3, 1), LOADED, wrong=(camera, extra)),
         _pixels(7),
     )
-    good = found.outcome == Outcome.VALID
+    good = votes.outcome == Outcome.VALID
     assert good.mean() > 0.95
-    assert (found.distance[good] <= np.sqrt(2.0)).all()
-    assert (found.distance[good] > 0.5).all()
+    assert (votes.distance[good] <= np.sqrt(2.0)).all()
+    assert (votes.distance[good] > 0.5).all()
 
 
 @pytest.mark.slow
@@ -139,16 +139,16 @@ def test_it_is_the_vote_that_plain_loops_hold():
 
 def _agree_with_loops(before, after, pixel, subset, search):
     """Compare a vote with that of plain loops; the outcomes that occurred."""
-    found = _vote(before, after, pixel, subset=subset, search=search)
+    votes = _vote(before, after, pixel, subset=subset, search=search)
     brute = [_brute_vote(before, after, centre, subset // 2, search // 2) for centre in pixel]
     for k, (voted, score, distance, agreed, outcome) in enumerate(brute):
-        assert found.pixel[k].tolist() == list(voted)
-        assert found.outcome[k] == outcome
-        assert found.agreed[k] == agreed
+        assert votes.pixel[k].tolist() == list(voted)
+        assert votes.outcome[k] == outcome
+        assert votes.agreed[k] == agreed
         np.testing.assert_allclose(
-            [found.score[k], found.distance[k]], [score, distance], atol=1e-6
+            [votes.score[k], votes.distance[k]], [score, distance], atol=1e-6
         )
-    return {Outcome(k) for k in found.outcome}
+    return {Outcome(k) for k in votes.outcome}
 
 
 def _brute_vote(before, after, pixel, half, reach):
@@ -191,13 +191,13 @@ def test_each_reason_has_its_outcome():
     flat[1, 30:40, 60:75] = 80.0
     unknown[2, 50:, :] = np.nan
     pixel = np.array([[30, 20], [45, 30], [64, 35], [1, 30], [30, 58], [30, 30]])
-    found = _vote(Instant(flat, hidden), Instant(unknown, lost), pixel)
-    names = [Outcome(k).name for k in found.outcome]
+    votes = _vote(Instant(flat, hidden), Instant(unknown, lost), pixel)
+    names = [Outcome(k).name for k in votes.outcome]
     assert names == ["HIDDEN", "LOST", "TEXTURE", "OUTSIDE", "OUTSIDE", "VALID"]
-    rejected = found.outcome != Outcome.VALID
-    assert np.isnan(found.score[rejected]).all()
-    assert not found.agreed[rejected].any()
-    assert np.array_equal(found.pixel[rejected], pixel[rejected])
+    rejected = votes.outcome != Outcome.VALID
+    assert np.isnan(votes.score[rejected]).all()
+    assert not votes.agreed[rejected].any()
+    assert np.array_equal(votes.pixel[rejected], pixel[rejected])
     pair = Views(*(a[:2] for a in (VIEWS.along, VIEWS.ratio, VIEWS.offset)))
     two = _vote(
         Instant(flat[:2], hidden), Instant(unknown[:2], lost), np.array([[30, 58], [30, 30]]), pair
@@ -209,9 +209,9 @@ def test_each_reason_has_its_outcome():
 def test_a_negative_is_no_match():
     before, after = _instant((0, 0), REST), _instant((0, 0), REST)
     negative = Instant(255.0 - after.pictures, after.disparity)
-    found = _vote(before, negative, _pixels(), search=3)
-    assert (found.outcome != Outcome.VALID).all()
-    assert (found.outcome == Outcome.SCORE).mean() > 0.5
+    votes = _vote(before, negative, _pixels(), search=3)
+    assert (votes.outcome != Outcome.VALID).all()
+    assert (votes.outcome == Outcome.SCORE).mean() > 0.5
 
 
 def test_the_number_of_threads_does_not_matter():
@@ -234,7 +234,7 @@ def _pictures(seed=0):
 
 def correlation(first_picture, two, a, p, b, q, *, window=7, along=COLUMNS):
     """What the vote correlates, at places `p` and `q` beyond the pixels `a` and `b`; NaN: none."""
-    half, found = window // 2, []
+    half, values = window // 2, []
     first, second = np.empty(window**2), np.empty(window**2)
     for (ca, ra), pa, (cb, rb), qb in zip(a, p, b, q, strict=True):
         known = window_kernel(first_picture, ca, ra, float(pa), along, half, first) == VALID
@@ -242,8 +242,8 @@ def correlation(first_picture, two, a, p, b, q, *, window=7, along=COLUMNS):
         scale = _normalise(second) if known else np.nan
         if not np.isnan(scale):
             scale *= _shifted_dot(two, cb, rb, float(qb), along, half, first)
-        found.append(scale)
-    return np.array(found)
+        values.append(scale)
+    return np.array(values)
 
 
 def _places(count, seed):

@@ -205,15 +205,15 @@ def test_blocks_are_the_sums_of_their_pixels(kind, shape, shading):
     """Nine cells, each with its pixels' share in gradient times what is left."""
     window = Window(kind, shape, shading=shading)
     sampled = _later(window, 4)
-    right, gain, _, found = window.right(sampled)
+    right, gain, _, sums = window.right(sampled)
     rest = window.without_illumination(sampled[window.kept].astype(float)) / gain
     row, column = np.divmod(np.flatnonzero(window.kept), SIDE)
     cell = (row * 3 // SIDE) * 3 + column * 3 // SIDE
     expected = np.stack([(window.columns * rest[:, None])[cell == k].sum(axis=0) for k in range(9)])
     size = np.linalg.norm(window.columns, axis=0) * np.linalg.norm(rest)
-    np.testing.assert_allclose(found / size, expected / size, **CLOSE)
+    np.testing.assert_allclose(sums / size, expected / size, **CLOSE)
     # Together they are the right-hand side.
-    np.testing.assert_allclose(found.sum(axis=0) / size, right / size, **CLOSE)
+    np.testing.assert_allclose(sums.sum(axis=0) / size, right / size, **CLOSE)
 
 
 @pytest.mark.parametrize(("kind", "shape", "shading"), WINDOWS)
