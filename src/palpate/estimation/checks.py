@@ -204,7 +204,7 @@ def _impossible_families(minimum: Evaluation) -> list[Contradiction]:
 
 
 def _chance(errors: Sequence[tuple[float, float]]) -> float:
-    """Probability of errors so far off in all, from their sizes and degrees of freedom."""
+    """Probability that errors are together so far off, from their sizes and degrees of freedom."""
     square, degrees = sum(value**2 for value, _ in errors), sum(freedom for _, freedom in errors)
     return float(chdtrc(max(degrees, 1.0), square))
 

@@ -276,8 +276,8 @@ def joint_minimum(
 
 
 def contradicted(estimate: Estimate) -> Estimate:
-    """The estimate of a model that does not hold: the best fit, without intervals, as these are
-    those of a right model; a constant that is not determined keeps the range of its values.
+    """The estimate of a model that does not hold: the best fit without intervals, which would be
+    those of a correct model; a constant that is not determined keeps the range of its values.
 
     Parameters
     ----------

@@ -133,9 +133,9 @@ def _variance(
 
 
 def sizes_of_errors(minimum: Evaluation) -> dict[str, float]:
-    """Size of the errors of single probings over that of their priors, by source, which predictions
-    take those of other probings to be, too. Where the points that were fitted are few about a tool,
-    they tell little of the model's error there: it stays.
+    """Size of the errors of single probings over that of their priors, by source; predictions
+    assume the same of other probings. Where few points about a tool were fitted, they say little
+    about the model's error there, and it stays as it is.
 
     Parameters
     ----------

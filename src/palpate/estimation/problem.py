@@ -90,7 +90,7 @@ class Layout:
 @dataclass(frozen=True, slots=True, eq=False)
 class Expansion:
     """Model of one probing's rows, bilinear in load and errors; its response is linear in Poisson's
-    ratio about a reference, effects of errors are those there.
+    ratio about a reference, with the effects of errors there.
 
     Attributes
     ----------

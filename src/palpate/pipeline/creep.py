@@ -212,7 +212,8 @@ def _far(probing: Probing) -> Flags:
 
 
 def _seen_in_frames(probing: Probing, series: Series, result: FitResult, index: int) -> _Seen:
-    """By weighted regression of every frame on what the static fit predicts at the same points."""
+    """Motion in every frame, by weighted regression on the static fit's prediction at its
+    points."""
     fitted = result.probes[index]
     known = np.isfinite(fitted.predicted) & _far(probing)[:, None]
     sigma = np.ones_like(fitted.predicted) if fitted.sigma is None else fitted.sigma

@@ -333,7 +333,7 @@ def _fit_with_field(
 def _heterogeneous(
     result: FitResult, plain: FitResult, described: FieldEstimate, mapped: ModulusMap
 ) -> FitResult:
-    """A fit with what it says of moduli that differ from place to place, beside the plain one."""
+    """A fit that describes moduli that differ from place to place, compared with the plain fit."""
     estimate = result.estimate
     status = Status.HETEROGENEOUS if estimate.status is Status.OK else estimate.status
     probes = tuple(
@@ -356,8 +356,8 @@ def _noted(result: FitResult, note: str) -> FitResult:
 
 
 def _gain(probes: Sequence[ProbeEstimate]) -> str:
-    """How much better pushes are predicted from the others with a field, as the end of a
-    sentence; empty of a single push."""
+    """How much better pushes are predicted from the others with a field, as the end of a sentence;
+    empty for a single push."""
     pairs = [
         (probe.prediction_error, probe.homogeneous_error)
         for probe in probes

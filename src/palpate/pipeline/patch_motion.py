@@ -336,7 +336,7 @@ def _longest_side(corner: Float[np.ndarray, "m 3 3"]) -> float:
 
 
 def _displacements(normal: Vector3, step: float) -> list[Vector3]:
-    """None, then one along each tangent forward and back."""
+    """Zero, then a step forward and a step back along each tangent."""
     along = [sign * step * tangent for tangent in tangents_of(normal) for sign in (1.0, -1.0)]
     return [np.zeros(3), *along]
 

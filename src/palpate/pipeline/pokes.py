@@ -214,8 +214,8 @@ def _tips(session: Session) -> Points:
 
 
 def _std(session: Session, push: Points) -> Points | None:
-    """Standard deviations of what is observed, those of the forces included, which count as if all
-    of a depth went with them; None: one is not known."""
+    """Standard deviations of what is observed, including those of the forces, as if depths were
+    proportional to forces; None if one is unknown."""
     stds = [probing.tip_displacement_std for probing in session.probings]
     known = [std for std in stds if std is not None]
     if len(known) < len(stds):
@@ -245,7 +245,7 @@ def _gain(std: float) -> Nuisance:
 
 
 def _flattened(session: Session) -> Session:
-    """The session with the tools that dent a flat surface as its own dent the object's."""
+    """The session with tools that would dent a flat surface as its own tools dent the object."""
     probings = []
     for probing, tool in zip(session.probings, tools(session), strict=True):
         curvature = local_surface(session.mesh, probing.contact.point, tool.radius).curvature

@@ -191,7 +191,7 @@ def _modes(patches: Sequence[Patch], support: MovingSupport) -> Float[np.ndarray
 
 
 def _unseen(works: _Works) -> list[str]:
-    """A sentence on the pushes of no pair, or on all of them."""
+    """A sentence on pushes that are in no pair; empty if there are none."""
     both = works.seen & works.seen.T
     np.fill_diagonal(both, False)
     names = [works.probings[k].name for k in np.flatnonzero(~both.any(axis=1))]
@@ -288,7 +288,7 @@ def _judged(
     pairs: _Pairs,
     reasons: tuple[str, ...],
 ) -> Reciprocity:
-    """All pairs together, and every push against the others."""
+    """Test of all pairs together, and of every push against the others."""
     first, other = pairs
     matrix = works.of(works.force, works.mean)
     errors = list(_changes(session, works, moving))
@@ -365,7 +365,7 @@ def _excesses(
     inverse: Float[np.ndarray, "d p"],
     white: Float[np.ndarray, " d"],
 ) -> tuple[tuple[ForceExcess, ...], ForceExcess | None]:
-    """What each force is too large by, and the largest if excess grows in proportion."""
+    """Excess of each force, and of the largest one if excess grows in proportion to force."""
     # Symmetric, as the law has it: else differences by noise would look like forces too large.
     by_tool, sizes = works.of(works.tool, works.mean), works.sizes
     by_tool = 0.5 * (by_tool + by_tool.T)
@@ -397,8 +397,8 @@ def _excesses(
 def _suspects(
     pushes: Sequence[ForceExcess], growth: ForceExcess | None, chi_square: float, degrees: int
 ) -> tuple[tuple[str, ...], bool]:
-    """Pushes one of which has a wrong force, and whether motion out of proportion to the force may
-    be the cause instead; nothing where no such cause explains the pairs."""
+    """Pushes one of which may have a wrong force, and whether motion out of proportion to the force
+    may be the cause instead; none where no such cause explains the pairs."""
     every = [*pushes, *([growth] if growth is not None else [])]
     fall = np.array([push.sigmas**2 for push in every])
     if degrees > 1 and chdtrc(degrees - 1, chi_square - fall.max()) < FALSE_ALARM:

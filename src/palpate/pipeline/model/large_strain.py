@@ -300,8 +300,8 @@ def _sagged(body: FiniteBody, elastic: Body, constants: MaterialConstants, plain
 def _laws(
     elastic: Body, constants: MaterialConstants, plain: LawOf
 ) -> tuple[LawOf, Law, list[Law]]:
-    """The law of a material, as a function of its constants and with them; and with those that it
-    is mixed with: a larger lambda, and more stiffening."""
+    """The law of a material as a function of its constants; the law at these; and laws at others,
+    for derivatives: a larger lambda, and more stiffening."""
     (mu, lame), law = elastic.lame, yeoh(constants.stiffening, plain)
     others = [law(mu, lame + mu), yeoh(constants.stiffening + 1.0, plain)(mu, lame)]
     return law, law(mu, lame), others
@@ -355,7 +355,7 @@ def _extrapolated(correction: Correction, rough: _Coarser) -> Correction:
 
 
 def _is_settled(before: MaterialConstants, now: MaterialConstants, result: FitResult) -> bool:
-    """Whether the constants stand still that the data determine; a beam's nu wanders for ever."""
+    """Whether the constants that the data determine stand still; the nu of a beam never does."""
     estimate, stiffening = result.estimate, estimated_stiffening(result)
     least = {
         "shear_modulus": _MODULUS_TOLERANCE * now.shear_modulus,
@@ -372,14 +372,14 @@ def _is_settled(before: MaterialConstants, now: MaterialConstants, result: FitRe
 
 
 def _constants(result: FitResult, *, stiffens: bool) -> MaterialConstants:
-    """What a result says of the material; its energy is convex."""
+    """Constants of the material from a result; never softening, so that the energy is convex."""
     estimate = result.estimate
     stiffening = max(estimated_stiffening(result).value, 0.0) if stiffens else 0.0
     return MaterialConstants(estimate.shear_modulus.value, estimate.poisson_ratio.value, stiffening)
 
 
 def _taken_off(correction: Correction, *, stiffens: bool) -> Points:
-    """The part of a correction that depends on no constant, and on the force as little."""
+    """The part of a correction that depends neither on the constants nor on the force."""
     fixed = correction.value + correction.slope[0]
     if stiffens:
         fixed = fixed - correction.constants.stiffening * correction.slope[2]

@@ -77,7 +77,8 @@ class Traction:
     dip_force: Float[np.ndarray, "3 m"]
 
     def dips(self) -> list[tuple[IndentationCorrection, Float[np.ndarray, " m"]]]:
-        """Dips under as few single forces as its columns need, each with its factor in all."""
+        """Dips under as few single forces as the columns need, each with its factor in every
+        column."""
         if self.dip is None:
             return []
         axis, size, share = np.linalg.svd(self.dip_force, full_matrices=False)
@@ -149,7 +150,7 @@ class LoadTable:
         triangle: Int[np.ndarray, " n"],
         barycentric: Float[np.ndarray, "n 3"],
     ) -> Float[np.ndarray, "2 q c"]:
-        """What is missed of the dips about contacts between the vertices (`bem`), in some columns.
+        """Part of the dips about contacts that is missed between vertices (`bem`), in some columns.
 
         Parameters
         ----------
@@ -266,7 +267,7 @@ def make_load_table(
 
 
 def _slices(items: Sequence[T]) -> Iterator[Sequence[T]]:
-    """Some at a time."""
+    """Consecutive slices of a few items."""
     for begin in range(0, len(items), _TOGETHER):
         yield items[begin : begin + _TOGETHER]
 

@@ -151,7 +151,7 @@ def pose_dips(
 
 
 def _pose_stds(session: Session) -> Float[np.ndarray, "6"]:
-    """Of three translations [m], then of three rotations [rad]."""
+    """Standard deviations of three translations [m], then of three rotations [rad]."""
     priors = session.errors
     return np.repeat([priors.pose_translation, priors.pose_rotation], 3)
 
@@ -388,8 +388,8 @@ def tool_slip(
 
 
 def tool_compliance(std: float, force: Points) -> Nuisance:
-    """What the arm, the tool and the base give under a force, which the tool's displacement holds
-    as well: one parameter for all probings.
+    """Compliance of arm, tool and base, whose deflection is part of the tool's displacement: one
+    parameter for all probings.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ class MaterialConstants:
 
 
 def estimated_stiffening(result: FitResult) -> Constant:
-    """The stiffening that a result says; 0 before it was looked for."""
+    """Stiffening as a result estimates it; 0 before it was looked for."""
     minimum = result.minimum
     names = [parameter.name for parameter in minimum.problem.shared]
     if STIFFENS not in names:
@@ -61,7 +61,7 @@ def damped(
 
 
 def is_stiffening(stiffening: Constant) -> bool:
-    """Whether an estimate shows it.
+    """Whether an estimate shows that the material stiffens.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ _METHOD = JointFlow()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbingMotion:
-    """What the pictures of one probing gave, whatever was measured along with it.
+    """Motion measured from the pictures of one probing; it does not depend on other probings.
 
     Attributes
     ----------

@@ -67,7 +67,7 @@ class MotionNotes:
     order: tuple[str, ...] = ()
 
     def mapped(self, change: Callable[[str], str]) -> "MotionNotes":
-        """With every note changed.
+        """Notes with a function applied to each.
 
         Parameters
         ----------
@@ -241,7 +241,7 @@ class SessionNotes:
         return _each_once(self.pictures, self.texture, self.order)
 
     def extended(self, first: str, notes: MotionNotes) -> "SessionNotes":
-        """With the notes on one more motion or probing.
+        """Notes with those on one more motion or probing.
 
         Parameters
         ----------
