@@ -100,7 +100,7 @@ class Bench:
 
     @property
     def devices(self) -> tuple[Camera | ForceSource | GuardedArm, ...]:
-        """All of them."""
+        """All cameras, the force source and the arm."""
         return (*self.cameras, self.force, *(() if self.arm is None else (self.arm,)))
 
     @contextmanager

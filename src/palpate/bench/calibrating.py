@@ -88,8 +88,8 @@ class _Places:
         """Whether one of them is that where the object will stand."""
         return any(instant == _TABLE for _, instant, _, _ in self.pictures)
 
-    def found(self) -> Sightings:
-        """All of them."""
+    def sightings(self) -> Sightings:
+        """Sightings of the board in all pictures."""
         return gathered(self.cameras, self.sizes, self.pictures, [self.board])
 
     def dots(self) -> list[Float[np.ndarray, "k 2"]]:
@@ -210,7 +210,7 @@ def _judged(places: _Places, questions: Questions) -> Calibration | None:
     try:
         with questions.working() as progress:
             progress("calibration", 0.0)
-            calibration = calibrate(places.found(), [places.board])
+            calibration = calibrate(places.sightings(), [places.board])
             sigma = length_sigma(calibration)
     except CalibrationError as error:
         questions.tell(f"{places.count} places of the board: {error}")

@@ -115,7 +115,7 @@ class LiveSession:
 
     @property
     def file(self) -> Path:
-        """session.toml."""
+        """Path of session.toml."""
         return self.folder / "session.toml"
 
     @property

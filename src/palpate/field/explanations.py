@@ -116,8 +116,7 @@ def explanations(
     *,
     cache: Cache | None = None,
 ) -> list[Explanation]:
-    """What may explain displacements that one modulus does not, the likeliest first: a question
-    that takes seconds.
+    """What may explain displacements that one modulus does not, the likeliest first; takes seconds.
 
     Parameters
     ----------
@@ -151,8 +150,8 @@ def explanations(
 
 
 def evidence_of_errors(minimum: Evaluation) -> float:
-    """Most log evidence of forces, contacts or other errors of single probings that are larger than
-    the session says, each kind by itself, over errors as it says.
+    """Largest log evidence, of any one kind, that forces, contacts or other errors of single
+    probings are larger than the session states, over errors as stated.
 
     Parameters
     ----------

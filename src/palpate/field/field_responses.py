@@ -253,7 +253,7 @@ class FieldExpansion:
     derivative: Float[np.ndarray, "*d b"]
 
     def with_slope(self) -> "FieldExpansion":
-        """With the derivative with respect to Poisson's ratio, which takes two factorisations."""
+        """Expansion with the derivative by Poisson's ratio, which takes two factorisations."""
         beside = self.poisson_ratio - _STEP
         moved = self.model.moved(self.coefficients, beside)
         moved -= self.model.moved(0.0 * self.coefficients, beside)
@@ -262,7 +262,7 @@ class FieldExpansion:
     def under(
         self, session: Session, observations: Sequence[ProbeObservations]
     ) -> "FieldExpansion":
-        """About the same field, of other pushes of the body.
+        """Expansion about the same field, for other pushes of the body.
 
         Parameters
         ----------
@@ -339,13 +339,13 @@ class PushModel(FieldModel):
         return self.near @ self.body.means(self.modes.modes)
 
     def seen(self, moved: Float[np.ndarray, "n3 k"]) -> Float[np.ndarray, "n3 k"]:
-        """All of it."""
+        """The displacements themselves."""
         return moved
 
     def derivative(
         self, stiffness: GradedStiffness, moved: Float[np.ndarray, "n3 k"]
     ) -> Float[np.ndarray, "k c3 b"]:
-        """Of the displacements of the corners."""
+        """Derivative of the displacements of the corners."""
         basis = self.modes.modes
         # Whichever takes fewer solutions.
         if basis.shape[1] * moved.shape[1] < 3 * len(self.corners):

@@ -102,7 +102,7 @@ class PokeModel(FieldModel):
     def derivative(
         self, stiffness: GradedStiffness, moved: Float[np.ndarray, "n3 k"]
     ) -> Float[np.ndarray, "k b"]:
-        """Of the compliances."""
+        """Derivative of the compliances."""
         return -stiffness.energies(moved).T @ self.modes.modes
 
     def regular(self, poisson_ratio: float) -> Float[np.ndarray, " k"]:
