@@ -130,7 +130,7 @@ def find_boards(
     RecordError                     a picture cannot be read
     CalibrationError                pictures of one camera differ in size; no board was found
     """
-    jobs = [(c, name, path) for c, by in pictures.items() for name, path in by.items()]
+    jobs = [(c, name, path) for c, files in pictures.items() for name, path in files.items()]
 
     def work(job: _Job) -> tuple[tuple[int, int], list[Sighting], float]:
         grey = eight_bits(read_grey(job[2]))
@@ -144,7 +144,7 @@ def find_boards(
     sizes = _sizes(jobs, [size for size, _, _ in results])
     blurred = _blurred(jobs, [seen for _, seen, _ in results], [width for _, _, width in results])
     sharp = [(*jobs[k], results[k][1]) for k in range(len(jobs)) if k not in blurred]
-    sightings = gathered([name for name, by in pictures.items() if by], sizes, sharp, targets)
+    sightings = gathered([name for name, files in pictures.items() if files], sizes, sharp, targets)
     return replace(
         sightings, notes=(*_without_pictures(pictures), *blurred.values(), *sightings.notes)
     )
@@ -155,8 +155,8 @@ def _without_pictures(pictures: Mapping[str, Mapping[str, Path]]) -> list[str]:
     return [
         f"camera '{camera}': its folder has no pictures ({', '.join(PICTURE_SUFFIXES)}); the camera"
         " is left out: were they copied, and are they of one of these kinds?"
-        for camera, by in pictures.items()
-        if not by
+        for camera, files in pictures.items()
+        if not files
     ]
 
 

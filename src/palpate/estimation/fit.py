@@ -370,7 +370,7 @@ def _fit_notes(
     if contradictions:
         notes.append(_contradiction_note(contradictions[0]))
     if freed:
-        names = ", ".join(f"{name!r} by {by:.1f}" for name, by in freed.items())
+        names = ", ".join(f"{name!r} by {sigmas:.1f}" for name, sigmas in freed.items())
         notes.append(
             "A force that disagrees with all others was left out, in standard deviations of the"
             f" difference: {names}; check that sensor reading and its unit."

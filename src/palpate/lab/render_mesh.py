@@ -197,8 +197,8 @@ def _edges_to_halve(
     chosen = np.zeros_like(marked)
     chosen[order] = True
     whole = np.bincount(edges.weld[chosen], minlength=edges.weld.max() + 1)
-    there = np.bincount(edges.weld, minlength=edges.weld.max() + 1)
-    return chosen & marked & (whole == there)[edges.weld]
+    count = np.bincount(edges.weld, minlength=edges.weld.max() + 1)
+    return chosen & marked & (whole == count)[edges.weld]
 
 
 def _halved(

@@ -124,13 +124,13 @@ class LocalField:
 def _prior_covariance(
     distance: Float[np.ndarray, "n k"],
     here: Points,
-    there: Float[np.ndarray, "k 3"],
+    others: Float[np.ndarray, "k 3"],
     shape: tuple[float, float],
 ) -> Float[np.ndarray, "n k"]:
     """Covariance of plane and process between points, over the noise's variance: Matern's, of
     smoothness 5/2."""
     length, power = shape
-    return np.asarray(power * _process(distance, length) + _PLANE * (1.0 + here @ there.T))
+    return np.asarray(power * _process(distance, length) + _PLANE * (1.0 + here @ others.T))
 
 
 def _process(distance: Float[np.ndarray, "n k"], length: float) -> Float[np.ndarray, "n k"]:

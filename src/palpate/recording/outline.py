@@ -594,5 +594,5 @@ def chosen_side(sides: tuple[Side, ...], name: str | None) -> Side | None:
     for side in sides:
         if side.name == name:
             return side
-    there = ", ".join(side.name for side in sides) or "none"
-    raise InputError(f"the object has no flat side at {name}; it has: {there}")
+    names = ", ".join(side.name for side in sides) or "none"
+    raise InputError(f"the object has no flat side at {name}; it has: {names}")

@@ -257,7 +257,7 @@ class ModulusMap:
         )
         count = (height[corners] > 0.0).sum(axis=1)
         edges = np.concatenate(
-            [corners[count == above][:, which].reshape(-1, 3, 2) for above, which in _CROSSED]
+            [corners[count == above][:, columns].reshape(-1, 3, 2) for above, columns in _CROSSED]
         )
         if not len(edges):
             return None

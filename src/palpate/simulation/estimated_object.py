@@ -309,14 +309,14 @@ def chosen_probing(session: Session, estimate: Estimate, name: str | None) -> Pr
     ------
     InputError                      no such probing
     """
-    there = {probing.name: probing for probing in session.probings}
-    if name is not None and name not in there:
+    by_name = {probing.name: probing for probing in session.probings}
+    if name is not None and name not in by_name:
         raise InputError(
-            f"{session.path}: there is no probing '{name}' (there are: {', '.join(there)})"
+            f"{session.path}: there is no probing '{name}' (there are: {', '.join(by_name)})"
         )
     used = {fitted.name for fitted in estimate.probes}
     left_out = [probing for probing in session.probings if probing.name not in used]
-    return there[name] if name is not None else (left_out or list(session.probings))[0]
+    return by_name[name] if name is not None else (left_out or list(session.probings))[0]
 
 
 def check_edge(mesh: TriangleMesh, edge: float | None) -> None:

@@ -212,9 +212,9 @@ def _canvas(
     span[across] = (extents[0][1] - extents[0][0])[across]
     centres = [0.5 * (extent[0] + extent[1]) for extent in extents]
     origins = [centres[0] - 0.5 * span]
-    for which, centre in zip(axis, centres[1:], strict=True):
+    for along, centre in zip(axis, centres[1:], strict=True):
         origin = origins[0].copy()
-        origin[which] = centre[which] - 0.5 * span[which]
+        origin[along] = centre[along] - 0.5 * span[along]
         origins.append(origin)
     columns, rows = (int(np.ceil(length)) + 1 for length in span)
     return (columns, rows), origins

@@ -182,8 +182,8 @@ def missed_indentation(
     element = surface.displacement.element[triangle[near]]
     used, local = np.unique(element, return_inverse=True)
     at_nodes = _fitted(surface, dip, used)[:, local.reshape(element.shape)]
-    there, fitted = dip.at(position), np.einsum("kn,snkij->snij", shapes, at_nodes)
-    missed[:, near] = share[near, None, None] * (there - fitted)
+    exact, fitted = dip.at(position), np.einsum("kn,snkij->snij", shapes, at_nodes)
+    missed[:, near] = share[near, None, None] * (exact - fitted)
     return missed
 
 

@@ -57,13 +57,13 @@ def equally_sharp(
                                         less sharp
     """
     variance_difference = np.zeros(len(now))
-    there, later = scene, spline_pictures(now, scene.smoothing)
+    prepared, later = scene, spline_pictures(now, scene.smoothing)
     known = np.flatnonzero(np.isfinite(start).all(axis=(1, 2)))
     rows = known[:: max(len(known) // _WINDOWS, 1)]
     if len(rows) < _MIN_WINDOWS:
-        return there, later
+        return prepared, later
     for _ in range(_ROUNDS):
-        seen = there, later
+        seen = prepared, later
         if scene.smoothing < _SMOOTHING:
             seen = _blurred(scene, now, variance_difference, _SMOOTHING)
         variance, error = _relative_variance(*seen, rows, start[rows])
@@ -71,8 +71,8 @@ def equally_sharp(
         if not sure.any():
             break
         variance_difference += np.where(sure, variance, 0.0)
-        there, later = _blurred(scene, now, variance_difference, scene.smoothing)
-    return there, later
+        prepared, later = _blurred(scene, now, variance_difference, scene.smoothing)
+    return prepared, later
 
 
 def _blurred(

@@ -140,7 +140,7 @@ def _fill_scores(pictures, along, ratio, offset, trials, top, count, score):
     other cameras."""
     columns = pictures.shape[2]
     here = pictures[0, top : top + count + 2 * _HALF]
-    there = np.empty_like(here)
+    shifted = np.empty_like(here)
     mean, norm, total, square, product = np.empty((5, count, columns - 2 * _HALF))
     down = np.empty((3, columns))
     _sum_windows(here, here, down, mean, norm, product)
@@ -153,8 +153,8 @@ def _fill_scores(pictures, along, ratio, offset, trials, top, count, score):
     score[:] = 0.0
     for t in range(len(trials)):
         for c in range(1, len(pictures)):
-            _fill_shifted(pictures[c], top, offset[c] + ratio[c] * trials[t], along[c], there)
-            _sum_windows(there, here, down, total, square, product)
+            _fill_shifted(pictures[c], top, offset[c] + ratio[c] * trials[t], along[c], shifted)
+            _sum_windows(shifted, here, down, total, square, product)
             for y in range(count):
                 for x in range(columns - 2 * _HALF):
                     squares = square[y, x] - total[y, x] * total[y, x] / _PIXELS

@@ -147,10 +147,10 @@ def dense_start(
     sure = wanted
     if a.width > _MAX_SPECKLE_PX and min(wanted.shape) >= 2 * _MIN_SIDE_PX:
         half = dense_start(cv2.pyrDown(a.grey), cv2.pyrDown(b.grey), mask=wanted[::2, ::2])
-        there, sure = _doubled(half, wanted)
+        motions, sure = _doubled(half, wanted)
     else:
-        there, _ = _motions(a, b, (wanted, b.textured))
-    flow, trusted = _finished(a, b, there)
+        motions, _ = _motions(a, b, (wanted, b.textured))
+    flow, trusted = _finished(a, b, motions)
     return _embedded(flow, trusted & sure, box, shape)
 
 
@@ -248,7 +248,7 @@ def _search(
 def _fits(
     a: NormalisedImage,
     b: NormalisedImage,
-    there: Float[np.ndarray, "rows columns 2"],
+    flow: Float[np.ndarray, "rows columns 2"],
     gap: Float[np.ndarray, "rows columns 2"],
     limits: tuple[float, float],
 ) -> Bool[np.ndarray, "rows columns"]:
@@ -256,13 +256,13 @@ def _fits(
 
     `gap` is the forward-backward residual; `limits` apply to it and to the roughness [px].
     """
-    position = _grid(a.grey.shape) + there
+    position = _grid(a.grey.shape) + flow
     grey = sampled(b.grey, position)
     mean, variance = moments(grey)
     common = cv2.blur(a.grey * grey, (WINDOW, WINDOW)) - a.mean * mean
     # The constant avoids 0 / 0; it is negligible beside the quantisation noise.
     score = common / np.sqrt(a.variance * variance + np.float32(1e-6))
-    roughness = there - cv2.blur(there, (WINDOW, WINDOW))
+    roughness = flow - cv2.blur(flow, (WINDOW, WINDOW))
     return (
         (score > _MIN_CORRELATION)
         & (_square(gap) < limits[0] ** 2)
@@ -303,10 +303,10 @@ def _motions(a: NormalisedImage, b: NormalisedImage, textured: _Flags) -> _Motio
 def _explained(a: NormalisedImage, b: NormalisedImage, motions: _Motions) -> _Flags:
     """Pixels of each picture that the two motions match to the other."""
     limits = (_MAX_FIRST_GAP_PX, _MAX_FIRST_ROUGHNESS_PX)
-    there, back = motions
+    forward, back = motions
     return (
-        _fits(a, b, there, _composed(there, back), limits),
-        _fits(b, a, back, _composed(back, there), limits),
+        _fits(a, b, forward, _composed(forward, back), limits),
+        _fits(b, a, back, _composed(back, forward), limits),
     )
 
 

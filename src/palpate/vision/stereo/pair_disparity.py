@@ -105,13 +105,13 @@ def stereo_start(
     CalibrationError                the pair cannot be rectified
     InputError                      fewer than 8 consistent feature matches
     """
-    which = (pictures.rig.reference, partner)
+    indices = (pictures.rig.reference, partner)
     # The pictures define the size here; the cameras' own is not checked again.
-    first, second = (replace(pictures.rig.cameras[k], size=None) for k in which)
-    images = [pictures.normalised[k] for k in which]
+    first, second = (replace(pictures.rig.cameras[k], size=None) for k in indices)
+    images = [pictures.normalised[k] for k in indices]
     rows, columns = np.max([image.levels.shape for image in images], axis=0).tolist()
     rectified = rectify((first, second), (rows, columns))
-    matches = match_features(*(pictures.features[k] for k in which))
+    matches = match_features(*(pictures.features[k] for k in indices))
     pixel = _seen_by(rectified.cameras[0], first, matches.point)
     other = _seen_by(rectified.cameras[1], second, matches.moved)
     offset, agree = _row_offset(pixel, other)
