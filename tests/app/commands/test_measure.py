@@ -14,7 +14,7 @@ class Page:
     address = "http://127.0.0.1:8080/token/"
     made: ClassVar[list["Page"]] = []
 
-    def __init__(self, _name, *, port, say):
+    def __init__(self, _name, *, port, on_message):
         self.port, self.ending, self.closed = port, "", False
         self.made.append(self)
 
