@@ -99,17 +99,17 @@ def _fields(surface: BoundarySurface, kernel: int) -> None:
 
 
 def _peer(mesh: TriangleMesh, *, make: bool) -> list[Figure]:
-    found = laplace_times(mesh, repeats=REPEATS, make=make)
+    times = laplace_times(mesh, repeats=REPEATS, make=make)
     size = len(mesh.vertices)
     rows = []
     for kind in ("single", "double"):
         name = f"beside it: bempp-cl, scalar Laplace {kind}-layer operator, {size} vertices"
-        if isinstance(found, str):
-            rows.append(Figure(BEM, name, None, "s", note=found))
+        if isinstance(times, str):
+            rows.append(Figure(BEM, name, None, "s", note=times))
         else:
             note = (
-                f"bempp-cl {found['version']}, dense, numba, continuous linear functions, warm;"
+                f"bempp-cl {times['version']}, dense, numba, continuous linear functions, warm;"
                 " one scalar field, Galerkin"
             )
-            rows.append(Figure(BEM, name, found[f"{kind}_layer"], "s", note=note))
+            rows.append(Figure(BEM, name, times[f"{kind}_layer"], "s", note=note))
     return rows

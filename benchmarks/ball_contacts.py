@@ -70,20 +70,20 @@ def presses(name: str, mesh: TriangleMesh) -> dict[float, list[Press]]:
     modulus = 2.0 * SHEAR_MODULUS / (1.0 - shape.poisson_ratio)
     # Hertz' force for the circle on a plane.
     force = 4.0 / 3.0 * modulus * RADIUS**3 / BALL
-    found: dict[float, list[Press]] = {SLIDES: [], STICKS: []}
-    for place in contacts(mesh, shape):
+    by_friction: dict[float, list[Press]] = {SLIDES: [], STICKS: []}
+    for spot in contacts(mesh, shape):
         ball, glued = (
-            Tip(tool, place.point - 2.0 * BALL * place.inward, place.inward)
+            Tip(tool, spot.point - 2.0 * BALL * spot.inward, spot.inward)
             for tool in (Sphere(BALL), Sphere(BALL, friction=STICKS))
         )
         on_plane = press_to_force(truth.body, ball, force)
         sliding = press_to_force(truth.body, ball, force * (RADIUS / on_plane.radius) ** 3)
         depths = sliding.depth * np.arange(1, _STEPS + 1) / _STEPS
         sticking = press(truth.body, glued, depths)[-1]
-        for friction, one in ((SLIDES, sliding), (STICKS, sticking)):
-            moved = truth.at(one.displacement, mesh.vertices)
-            found[friction].append(replace(one, displacement=moved))
-    return found
+        for friction, pressed in ((SLIDES, sliding), (STICKS, sticking)):
+            moved = truth.at(pressed.displacement, mesh.vertices)
+            by_friction[friction].append(replace(pressed, displacement=moved))
+    return by_friction
 
 
 def session(
@@ -96,16 +96,16 @@ def session(
     points = closest_points(mesh, mesh.vertices[seen])
     tool = Sphere(BALL, friction=friction)
     probings = []
-    for k, (place, one) in enumerate(zip(contacts(mesh, shape), pressed, strict=True)):
-        sigma = noise * float(np.sqrt((one.displacement**2).mean()))
-        field = one.displacement[seen] + sigma * rng.normal(size=(len(seen), 3))
-        field[np.linalg.norm(mesh.vertices[seen] - place.point, axis=1) < BALL] = np.nan
+    for k, (spot, measured) in enumerate(zip(contacts(mesh, shape), pressed, strict=True)):
+        sigma = noise * float(np.sqrt((measured.displacement**2).mean()))
+        field = measured.displacement[seen] + sigma * rng.normal(size=(len(seen), 3))
+        field[np.linalg.norm(mesh.vertices[seen] - spot.point, axis=1) < BALL] = np.nan
         std = np.full_like(field, sigma) if noise else None
         displacement = DisplacementField(points.position, field, std, None, points, "truth")
-        contact = Contact.under(tool, place.point, float(np.ptp(mesh.vertices)))
+        contact = Contact.under(tool, spot.point, float(np.ptp(mesh.vertices)))
         certain = np.full(3, _FORCE)
         probings.append(
-            Probing(f"n{k}", contact, one.force, certain, None, None, displacement, None)
+            Probing(f"n{k}", contact, measured.force, certain, None, None, displacement, None)
         )
     return Session(
         name, Path(name), mesh, held, tuple(probings), None, None, None, (), errors=EXACT
@@ -117,14 +117,19 @@ def main() -> None:
     for name in sys.argv[1:] or USUAL:
         shape = SHAPES[name]
         mesh, truth = shape.make(shape.edge), constants(shape)
-        found = presses(name, mesh)
-        for friction, told in product((SLIDES, STICKS), repeat=2):
-            touched = ", ".join(f"{one.radius / BALL:.2f}" for one in found[friction])
-            print(f"{name:10s} {_WORDS[friction]}, told {_WORDS[told]}: circles of {touched} radii")
+        by_friction = presses(name, mesh)
+        for friction, assumed in product((SLIDES, STICKS), repeat=2):
+            touched = ", ".join(f"{pressed.radius / BALL:.2f}" for pressed in by_friction[friction])
+            print(
+                f"{name:10s} {_WORDS[friction]}, taken as {_WORDS[assumed]}: circles of {touched}"
+                " radii"
+            )
             for known, (errors, noise) in _KNOWN.items():
-                measured = session(name, mesh, found[friction], told, noise)
+                measured = session(name, mesh, by_friction[friction], assumed, noise)
                 estimate = fit_session(replace(measured, errors=errors)).estimate
-                holds = ", ".join("holds" if one else "misses" for one in held(estimate, truth))
+                holds = ", ".join(
+                    "holds" if is_held else "misses" for is_held in held(estimate, truth)
+                )
                 print(f"  {known:16s}{errors_of(estimate, truth)}   {holds}", flush=True)
 
 

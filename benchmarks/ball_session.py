@@ -80,12 +80,12 @@ def _silent_session(subdivisions: int, count: int) -> Session:
     turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
     across = np.sqrt(1 - height**2)
     outward = np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
-    place = closest_points(mesh, RADIUS * outward).position
+    point = closest_points(mesh, RADIUS * outward).position
     tilt = 0.1 * np.stack([np.cos(turn), np.sin(turn), np.zeros(count)], axis=1)
     probings = tuple(
         Probing(
             name=f"n{k + 1:02d}",
-            contact=Contact(place[k], CONTACT_RADIUS, "smooth"),
+            contact=Contact(point[k], CONTACT_RADIUS, "smooth"),
             force=tilt[k] - outward[k],
             force_std=None,
             tip_displacement=None,

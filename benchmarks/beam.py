@@ -68,8 +68,8 @@ def _own_comparison(session: Session, young_modulus: float) -> Figure:
 
 def _at_finite_strain() -> Figure:
     """All four pushes, of which the larger ones bend the beam far."""
-    found = fit_session(read_session(ROOT / "examples" / "beam"), finite_strain=True).estimate
-    young, nu = found.young_modulus, found.poisson_ratio
+    estimate = fit_session(read_session(ROOT / "examples" / "beam"), finite_strain=True).estimate
+    young, nu = estimate.young_modulus, estimate.poisson_ratio
     return Figure(
         ESTIMATION,
         "beam, all pushes at finite strain: E against linear finite elements, 0.510 N, nu 0.49",
@@ -77,7 +77,7 @@ def _at_finite_strain() -> Figure:
         "%",
         note=f"E {young.value / 1e3:.1f} kPa, 95 % {young.ci95[0] / 1e3:.1f} to"
         f" {young.ci95[1] / 1e3:.1f}; nu {nu.ci95[0]:.2f} to {nu.ci95[1]:.2f}; status"
-        f" {found.status.value}",
+        f" {estimate.status.value}",
     )
 
 

@@ -33,7 +33,7 @@ GRAVITY = 9.81
 
 def pressed(session: Session, stiffening: float, *, sags: bool) -> list[Points]:
     """Displacement of the points of every probing [m]."""
-    contact, forces = session.probings[0].contact, [each.force for each in session.probings]
+    contact, forces = session.probings[0].contact, [probing.force for probing in session.probings]
     radius = float(contact.radius)
     solid = make_solid(session.mesh, edge=8e-3, fine=[(contact.point, 1.3 * radius, 0.3 * radius)])
     share = pressure_load(solid, contact.point, radius, contact.pressure)
@@ -52,7 +52,7 @@ def pressed(session: Session, stiffening: float, *, sags: bool) -> list[Points]:
         *(f"{k + 1}," for k in np.flatnonzero(held_nodes(solid, session.held_triangles))),
         "*MATERIAL, NAME=SOFT",
         "*HYPERELASTIC, YEOH",
-        ", ".join(f"{each:.12g}" for each in law),
+        ", ".join(f"{constant:.12g}" for constant in law),
         "*SOLID SECTION, ELSET=SOLID, MATERIAL=SOFT",
         "*BOUNDARY",
         "HELD, 1, 3, 0.",
@@ -63,13 +63,13 @@ def pressed(session: Session, stiffening: float, *, sags: bool) -> list[Points]:
         lines += [f"{k + 1}, 3, {nodal[k]:.12g}" for k in np.flatnonzero(weight - share)]
         lines += ["*NODE PRINT, NSET=BODY, FREQUENCY=1000", "U", "*END STEP"]
     seen = surface_values(solid, session.probings[0].displacement.surface.position)
-    moved = [seen @ each for each in _run("\n".join([*lines, ""]), len(sizes))]
+    moved = [seen @ displacement for displacement in _run("\n".join([*lines, ""]), len(sizes))]
     return [moved[sizes.index(float(-force[2]))] - moved[0] for force in forces]
 
 
 def _rows(table: np.ndarray) -> Iterator[str]:
     for k, row in enumerate(table):
-        yield ", ".join([str(k + 1), *(f"{each:.12g}" for each in row)])
+        yield ", ".join([str(k + 1), *(f"{value:.12g}" for value in row)])
 
 
 def _run(text: str, steps: int) -> list[Points]:
@@ -79,8 +79,8 @@ def _run(text: str, steps: int) -> list[Points]:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "beam.inp").write_text(text, encoding="ascii")
         subprocess.run(["ccx", "beam"], cwd=folder, check=True, capture_output=True)
-        found = (Path(folder) / "beam.dat").read_text(encoding="ascii")
-    parts = re.split(r"displacements \(vx.*\n", found)[1:]
+        printed = (Path(folder) / "beam.dat").read_text(encoding="ascii")
+    parts = re.split(r"displacements \(vx.*\n", printed)[1:]
     if len(parts) < steps:
         raise SystemExit("CalculiX found no equilibrium")
     return [
@@ -104,11 +104,11 @@ def main() -> None:
             start = time.perf_counter()
             weight = np.array([0.0, 0.0, -GRAVITY]) if sags else None
             of = replace(session, probings=tuple(probings), gravity=weight, gravity_at_rest=True)
-            found = fit_session(of, finite_strain=finite_strain).estimate
-            young = found.young_modulus
+            estimate = fit_session(of, finite_strain=finite_strain).estimate
+            young = estimate.young_modulus
             print(
                 f"C2 / C1 {stiffening:g}, {'sags' if sags else 'weightless'},"
-                f" {'finite' if finite_strain else 'small'} strain: {found.status.value},"
+                f" {'finite' if finite_strain else 'small'} strain: {estimate.status.value},"
                 f" E {young.value / 1e3:.1f} kPa, {100 * (young.value / YOUNG - 1):+.1f} %, 95 %"
                 f" {young.ci95[0] / 1e3:.0f} to {young.ci95[1] / 1e3:.0f};"
                 f" {time.perf_counter() - start:.0f} s",

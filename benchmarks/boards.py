@@ -43,8 +43,8 @@ def seen_corners(
     for c, (intrinsics, pose) in enumerate(zip(bundle.intrinsics, bundle.camera, strict=True)):
         for v, view in enumerate(bundle.view):
             whole = pose @ view
-            place = points @ whole[:3, :3].T + whole[:3, 3]
-            pixel, _, _ = seen_points(intrinsics, place)
+            position = points @ whole[:3, :3].T + whole[:3, 3]
+            pixel, _, _ = seen_points(intrinsics, position)
             inside = ((pixel > 5.0) & (pixel < np.array(SIZE) - 6.0)).all(axis=1)
             if inside.sum() < 12:
                 continue
@@ -66,7 +66,7 @@ def sightings(
     )  # fmt: skip
 
 
-def bundle_errors(found: Bundle, truth: Bundle) -> np.ndarray:
+def bundle_errors(estimated: Bundle, truth: Bundle) -> np.ndarray:
     """Errors of all unknowns, as the covariance of an adjustment counts them."""
 
     def motion(pose: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -75,9 +75,9 @@ def bundle_errors(found: Bundle, truth: Bundle) -> np.ndarray:
 
     return np.concatenate(
         [
-            (found.intrinsics - truth.intrinsics).ravel(),
-            motion(found.camera[1:], truth.camera[1:]),
-            motion(found.view, truth.view),
+            (estimated.intrinsics - truth.intrinsics).ravel(),
+            motion(estimated.camera[1:], truth.camera[1:]),
+            motion(estimated.view, truth.view),
         ]
     )
 

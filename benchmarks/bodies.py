@@ -59,11 +59,11 @@ def cells(occupied: Bool[np.ndarray, "i j k"], lines: Sequence[np.ndarray]) -> T
             for cell in np.argwhere(padded & ~beside) - 1:
                 corner = []
                 for p, q in ((0, 0), (1, 0), (1, 1), (0, 1)):
-                    place = cell.copy()
-                    place[axis] += side
-                    place[u] += p
-                    place[v] += q
-                    corner.append(number.setdefault(tuple(place.tolist()), len(number)))
+                    node = cell.copy()
+                    node[axis] += side
+                    node[u] += p
+                    node[v] += q
+                    corner.append(number.setdefault(tuple(node.tolist()), len(number)))
                 a, b, c, d = corner
                 even = int(cell[u] + cell[v]) % 2 == 0
                 cut = [[a, b, c], [a, c, d]] if even else [[a, b, d], [b, c, d]]
@@ -106,8 +106,8 @@ def _arch(edge: float) -> TriangleMesh:
     straight = cells(np.ones([len(line) - 1 for line in lines], dtype=bool), lines)
     along, across, out = straight.vertices.T
     angle, radius = along / (36 * _MM), 36 * _MM - out
-    place = [-radius * np.cos(angle), across, radius * np.sin(angle)]
-    bent = np.stack(place, axis=1)
+    coordinates = [-radius * np.cos(angle), across, radius * np.sin(angle)]
+    bent = np.stack(coordinates, axis=1)
     bent[np.abs(bent[:, 2]) < 1e-9, 2] = 0.0
     return TriangleMesh(bent, straight.triangles[:, ::-1])
 
@@ -185,14 +185,14 @@ def _torus(edge: float) -> TriangleMesh:
     across = len(out)
     i, j = (g.ravel() for g in np.meshgrid(np.arange(around), np.arange(across), indexing="ij"))
     phi, radius = 2 * np.pi * i / around, 30 + out[j]
-    place = [radius * np.cos(phi), radius * np.sin(phi), np.where(j < below, 0.0, up[j])]
+    coordinates = [radius * np.cos(phi), radius * np.sin(phi), np.where(j < below, 0.0, up[j])]
     ahead, over = (i + 1) % around * across + j, i * across + (j + 1) % across
     both = (i + 1) % around * across + (j + 1) % across
     here = i * across + j
     even = ((i + j) % 2 == 0)[:, None]
     first = np.where(even, np.stack([here, ahead, both], 1), np.stack([here, ahead, over], 1))
     second = np.where(even, np.stack([here, both, over], 1), np.stack([ahead, both, over], 1))
-    return TriangleMesh(np.stack(place, axis=1) * _MM, np.concatenate([first, second]))
+    return TriangleMesh(np.stack(coordinates, axis=1) * _MM, np.concatenate([first, second]))
 
 
 BODIES = {

@@ -76,11 +76,11 @@ def _lines(mesh: TriangleMesh, held: Bool[np.ndarray, " m"]) -> _Lines:
     normals, centres = unit_normals(mesh), mesh.vertices[mesh.triangles].mean(axis=1)
     edges = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     order = np.lexsort(edges.T)
-    one, other = np.repeat(np.arange(len(normals)), 3)[order].reshape(-1, 2).T
-    sharp = (normals[one] * normals[other]).sum(1) < np.cos(np.radians(40))
-    inside = ((centres[other] - centres[one]) * normals[one]).sum(axis=1) > 0.0
+    first, other = np.repeat(np.arange(len(normals)), 3)[order].reshape(-1, 2).T
+    sharp = (normals[first] * normals[other]).sum(1) < np.cos(np.radians(40))
+    inside = ((centres[other] - centres[first]) * normals[first]).sum(axis=1) > 0.0
     ends = mesh.vertices[edges[order][::2]]
-    return _Lines(ends, sharp, held[one] != held[other], sharp & inside)
+    return _Lines(ends, sharp, held[first] != held[other], sharp & inside)
 
 
 def held_triangles(mesh: TriangleMesh, shape: Shape) -> Bool[np.ndarray, " m"]:
@@ -102,8 +102,8 @@ def contacts(mesh: TriangleMesh, shape: Shape) -> list[Contact]:
         free = away > _CLEARANCE * RADIUS
         for other in chosen:
             free &= np.linalg.norm(mesh.vertices - other.point, axis=1) > _APART
-        place = mesh.vertices - mesh.vertices.mean(0)
-        vertex = int(np.where(free, place @ np.array(toward), -np.inf).argmax())
+        offset = mesh.vertices - mesh.vertices.mean(0)
+        vertex = int(np.where(free, offset @ np.array(toward), -np.inf).argmax())
         near = (mesh.triangles == vertex).any(axis=1)
         normal = -normals[near].mean(axis=0)
         chosen.append(Contact(mesh.vertices[vertex], normal / np.linalg.norm(normal)))
@@ -176,7 +176,7 @@ def graded_solid(shape: Shape, *, edge: float, rim: float) -> tuple[Solid, Bool[
     places = contacts(shape.make(shape.edge), shape)
     surface = shape.make(_SURFACE * shape.edge)
     lines = _lines(surface, held_triangles(surface, shape))
-    fine = [(place.point, 1.2 * RADIUS, _FINE * RADIUS) for place in places]
+    fine = [(contact.point, 1.2 * RADIUS, _FINE * RADIUS) for contact in places]
     fine += [(point, 0.0, rim) for point in lines.points(lines.rim | lines.hollow)]
     solid = make_solid(surface, edge=edge, fine=fine)
     return solid, _held(solid, shape)

@@ -191,7 +191,7 @@ def _law(body: Pressed) -> list[str]:
     if not body.stiffening:
         return ["*HYPERELASTIC, NEO HOOKE", f"{first:.12g}, {volume:.12g}"]
     numbers = (first, body.stiffening * first, 0.0, volume, 1e9 * volume, 1e9 * volume)
-    return ["*HYPERELASTIC, YEOH", ", ".join(f"{each:.12g}" for each in numbers)]
+    return ["*HYPERELASTIC, YEOH", ", ".join(f"{number:.12g}" for number in numbers)]
 
 
 def _table(first: int, rows: np.ndarray) -> Iterator[str]:
@@ -237,10 +237,10 @@ def _tool(body: Pressed, number: int) -> tuple[Points, Int[np.ndarray, "c 20"]]:
     # Outer face first: its corners run so that the normal points into the layer.
     corner = [(0, 0), (0, 2), (2, 2), (2, 0)]
     side = [(0, 1), (1, 2), (2, 1), (1, 0)]
-    place = [(0, *c) for c in corner] + [(2, *c) for c in corner]
-    place += [(0, *c) for c in side] + [(2, *c) for c in side] + [(1, *c) for c in corner]
+    node_indices = [(0, *c) for c in corner] + [(2, *c) for c in corner]
+    node_indices += [(0, *c) for c in side] + [(2, *c) for c in side] + [(1, *c) for c in corner]
     starts = [(2 * i, 2 * j) for i in range(_ALONG) for j in range(_ALONG // 2)]
-    cells = np.array([[node[r, i + p, j + q] for r, p, q in place] for i, j in starts])
+    cells = np.array([[node[r, i + p, j + q] for r, p, q in node_indices] for i, j in starts])
     used, cells = np.unique(cells, return_inverse=True)
     return grid.reshape(-1, 3)[used], cells.reshape(-1, 20)
 
@@ -256,18 +256,18 @@ def run(
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "press.inp").write_text(text, encoding="ascii")
         done = subprocess.run([program, "press"], cwd=folder, capture_output=True, text=True)
-        found = (Path(folder) / "press.dat").read_text(encoding="ascii")
-    if found.count("total force") < depths:
+        printed = (Path(folder) / "press.dat").read_text(encoding="ascii")
+    if printed.count("total force") < depths:
         raise SystemExit("CalculiX found no equilibrium:\n" + done.stdout[-2000:])
     moved, forces = [], []
-    for part in re.split(r"\n(?= displacements \(vx)", found)[1:]:
+    for part in re.split(r"\n(?= displacements \(vx)", printed)[1:]:
         rows, total = part.split("total force")
         table = np.array([line.split() for line in rows.splitlines()[2:] if len(line.split()) == 4])
         nodal = np.zeros((count, 3))
         nodal[table[:, 0].astype(int) - 1] = table[:, 1:].astype(float) / _MM
         moved.append(nodal)
-        one = np.array(total.splitlines()[2].split(), dtype=float)
-        forces.append(np.array([2.0, 0.0, 2.0]) * one)
+        half_force = np.array(total.splitlines()[2].split(), dtype=float)
+        forces.append(np.array([2.0, 0.0, 2.0]) * half_force)
     return moved, forces
 
 
@@ -292,7 +292,7 @@ def make_truth(name: str, number: int, mesh: str) -> dict[str, np.ndarray]:
     print(name, number, mesh, len(solid.nodes), "nodes", np.round(forces, 4).tolist(), flush=True)
     return {
         "position": seen,
-        "displacement": np.stack([side.T * (at @ one) for one in moved]),
+        "displacement": np.stack([side.T * (at @ nodal) for nodal in moved]),
         "force": np.stack(forces),
     }
 

@@ -66,11 +66,11 @@ def _truth(seed: int) -> tuple[Bundle, np.random.Generator]:
     return truth, rng
 
 
-def _run(truth: Bundle, found: Sightings) -> Run:
+def _run(truth: Bundle, boards: Sightings) -> Run:
     """A calibration of sightings against the truth, in all its unknowns."""
-    made = calibrate(found, [BOARD])
-    kept = [int(name) for name in made.sightings.views]
-    true = Bundle(truth.intrinsics, truth.camera, truth.view[kept])
+    made = calibrate(boards, [BOARD])
+    used = [int(name) for name in made.sightings.views]
+    true = Bundle(truth.intrinsics, truth.camera, truth.view[used])
     error = bundle_errors(made.adjusted.bundle, true)
     covariance = made.adjusted.covariance
     # The bound of Cramer and Rao: every corner that the cameras can see, linearised at the truth
@@ -94,20 +94,20 @@ def _computed(seed: int) -> Run:
 def _pictures(folder: Path, seed: int) -> tuple[Path, Bundle]:
     """Folders of drawn pictures."""
     truth, _ = _truth(seed)
-    place = folder / f"boards_{seed}"
+    root = folder / f"boards_{seed}"
     texture = BOARD.drawing(160)
     extent = (BOARD.columns * BOARD.square, BOARD.rows * BOARD.square)
     for c, intrinsics in enumerate(truth.intrinsics):
-        (place / f"c{c}").mkdir(parents=True, exist_ok=True)
+        (root / f"c{c}").mkdir(parents=True, exist_ok=True)
         for v, view in enumerate(truth.view):
-            file = place / f"c{c}" / f"{v:02d}.png"
+            file = root / f"c{c}" / f"{v:02d}.png"
             if not file.exists():
                 picture = draw_board(
                     texture, extent, intrinsics, truth.camera[c] @ view, SIZE,
                     rng=np.random.default_rng([seed, c, v]), noise=_PIXEL_NOISE, blur=_BLUR,
                 )  # fmt: skip
                 cv2.imwrite(str(file), picture)
-    return place, truth
+    return root, truth
 
 
 def _figures(title: str, runs: list[Run]) -> list[Figure]:
@@ -117,7 +117,7 @@ def _figures(title: str, runs: list[Run]) -> list[Figure]:
     )
     centre = np.stack([run.found.intrinsics - run.truth.intrinsics for run in runs])[..., 2:4]
     length, true = (
-        np.stack([np.linalg.norm(one.camera[1:, :3, 3], axis=1) for one in bundles])
+        np.stack([np.linalg.norm(bundle.camera[1:, :3, 3], axis=1) for bundle in bundles])
         for bundles in ([run.found for run in runs], [run.truth for run in runs])
     )
     rig = 9 * _CAMERAS + 6 * (_CAMERAS - 1)
@@ -162,9 +162,9 @@ def _picture_figures(folder: Path, count: int) -> list[Figure]:
     """The same of drawn pictures, and how long the command takes."""
     runs = []
     for seed in range(count):
-        place, truth = _pictures(folder, seed)
-        runs.append(_run(truth, find_boards(find_pictures(place), [BOARD])))
-    words = f"calibrate {place} --columns 12 --rows 9 --square 20mm --marker 15mm --force --out"
+        root, truth = _pictures(folder, seed)
+        runs.append(_run(truth, find_boards(find_pictures(root), [BOARD])))
+    words = f"calibrate {root} --columns 12 --rows 9 --square 20mm --marker 15mm --force --out"
     start = time.perf_counter()
     with contextlib.redirect_stdout(io.StringIO()):
         code = palpate([*words.split(), str(folder / "rig")])

@@ -78,9 +78,9 @@ def write_sessions(folder: Path, count: int) -> tuple[CampaignItem, ...]:
     count : int
     """
     for number in range(count):
-        one = folder / f"ball {number:03d}"
-        shutil.copytree(ROOT / "examples" / "half_ball", one)
-        with (one / "session.toml").open("a", encoding="utf-8") as file:
+        copy = folder / f"ball {number:03d}"
+        shutil.copytree(ROOT / "examples" / "half_ball", copy)
+        with (copy / "session.toml").open("a", encoding="utf-8") as file:
             file.write(f"# {number}\n")
     return read_items(folder)
 
@@ -92,10 +92,10 @@ def _against_serial(items: tuple[CampaignItem, ...], folder: Path) -> list[Figur
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         process.submit(_one_after_the_other, items[0], folder / "warm").result()
         start, used = time.perf_counter(), process.submit(time.process_time).result()
-        found = list(process.map(_one_after_the_other, items, repeat(folder / "serial")))
+        results = list(process.map(_one_after_the_other, items, repeat(folder / "serial")))
         alone = time.perf_counter() - start
         used_alone = process.submit(time.process_time).result() - used
-    serial = {item.name: files for item, files in zip(items, found, strict=True)}
+    serial = {item.name: files for item, files in zip(items, results, strict=True)}
     with started_engine(None, 2) as workers, ExitStack() as stack:
         address = workers.client.scheduler.address
         stack.enter_context(dask.config.set(_certificates(workers.client.security)))
@@ -126,8 +126,12 @@ def _against_serial(items: tuple[CampaignItem, ...], folder: Path) -> list[Figur
 
 def _certificates(security: distributed.Security) -> dict[str, str]:
     """Dask's configuration for another client of a cluster of one's own."""
-    own = security.get_tls_config_for_role("client")
-    files = {"ca-file": own["ca_file"], "client.cert": own["cert"], "client.key": own["key"]}
+    config = security.get_tls_config_for_role("client")
+    files = {
+        "ca-file": config["ca_file"],
+        "client.cert": config["cert"],
+        "client.key": config["key"],
+    }
     return {f"distributed.comm.tls.{name}": text for name, text in files.items()}
 
 
@@ -168,9 +172,9 @@ def _engine_cost(items: tuple[CampaignItem, ...], folder: Path) -> list[Figure]:
         for future in [workers.submit(work_on_worker, work, None, []) for work in works]:
             workers.wait_for_ended([future])
         through = (time.perf_counter() - start) / len(works)
-    kept, size = _keeping(items[0], folder)
+    keeping, size = _keeping(items[0], folder)
     sent = sum(map(len, works[0].session.files.values()))
-    cost = through - alone + kept
+    cost = through - alone + keeping
     return [
         Figure(
             CAMPAIGN,
@@ -178,14 +182,14 @@ def _engine_cost(items: tuple[CampaignItem, ...], folder: Path) -> list[Figure]:
             100 * cost / TASK,
             "%",
             note=f"{len(works)} works on one worker: {1e3 * (through - alone):.0f} ms each, and"
-            f" {1e3 * kept:.0f} ms to keep a result and write its row, which other workers do not"
-            f" wait for; {sent / 1e3:.0f} kB there, {size / 1e3:.0f} kB back",
+            f" {1e3 * keeping:.0f} ms to keep a result and write its row, which other workers do"
+            f" not wait for; {sent / 1e3:.0f} kB there, {size / 1e3:.0f} kB back",
         ),
         Figure(
             CAMPAIGN,
             "works that one client feeds and keeps per second: workers beyond this many times the"
             " seconds of a work wait",
-            1.0 / (through + kept),
+            1.0 / (through + keeping),
             "1/s",
             note="10 000 half balls of 5 s on 200 workers need 40 a second",
         ),
@@ -277,7 +281,7 @@ def _without_shared_disk(items: tuple[CampaignItem, ...], folder: Path) -> list[
         while not _results(campaign) and first.poll() is None:
             time.sleep(0.1)
         head.kill()
-        _, told = first.communicate(timeout=120)
+        _, errors = first.communicate(timeout=120)
     with ExitStack() as stack:
         stack.enter_context(_dask(["scheduler", "--port", scheduler[-5:]], folder / "s"))
         for name in ("w1", "w2"):
@@ -292,7 +296,7 @@ def _without_shared_disk(items: tuple[CampaignItem, ...], folder: Path) -> list[
             _missing(items, campaign),
             note=f"{len(items)} half balls; {watching} processes of workers, watched, opened"
             f" {len(noted) - watching} files where the sessions lie; the first run ended with code"
-            f" {first.returncode}: {told.strip()}",
+            f" {first.returncode}: {errors.strip()}",
         )
     ]
 
@@ -329,8 +333,8 @@ def _dask(words: list[str], folder: Path) -> Iterator[subprocess.Popen[bytes]]:
     try:
         yield started
     finally:
-        for one in (*psutil.Process(started.pid).children(recursive=True), started):
-            one.kill()
+        for process in (*psutil.Process(started.pid).children(recursive=True), started):
+            process.kill()
         started.wait()
 
 
@@ -338,7 +342,7 @@ def _workers_of(process: int) -> list[int]:
     """Processes of a local cluster's workers."""
     try:
         children = psutil.Process(process).children(recursive=True)
-        return [one.pid for one in children if "spawn_main" in " ".join(one.cmdline())]
+        return [child.pid for child in children if "spawn_main" in " ".join(child.cmdline())]
     except psutil.Error:
         return []
 

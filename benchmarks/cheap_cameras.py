@@ -128,7 +128,7 @@ def measured(kind: Cameras, body: Body, seed: int, cache: Path) -> tuple[float, 
         write_mesh(folder / "mesh.ply", body.config.specimen.mesh)
         write_rig(folder / "rig.toml", shrunk(body.rig, kind.shrink))
         session = LiveSession(folder, head, contact, by_hand=False, cache=cache)
-        for place, inward, newtons, loaded in body.pushes:
+        for point, inward, newtons, loaded in body.pushes:
             phase = rng.uniform(0.0, 2.0 * np.pi)
             views = [taken(kind, camera, loaded, phase) for camera in range(2)]
             push = TakenPush(
@@ -136,7 +136,7 @@ def measured(kind: Cameras, body: Body, seed: int, cache: Path) -> tuple[float, 
                 tuple(shot(kind, levels, rng) for levels in views),
                 newtons * gain * (1.0 + NOISE * rng.standard_normal()), NOISE * newtons,
             )  # fmt: skip
-            session.add(push, place, inward)
+            session.add(push, point, inward)
         estimate = session.fit(session.measured()).estimate
     truth = {
         "young_modulus": material.young_modulus, "poisson_ratio": material.poisson_ratio,
@@ -181,11 +181,11 @@ def main() -> None:
                 file.write_text("\n".join(lines) + "\n")
             if not rows:
                 continue
-            young, sigma, ratio, other, *kept = np.array(rows).T
+            young, sigma, ratio, other, *hits = np.array(rows).T
             print(
                 f"| {kind.name} | {100 * np.sqrt(np.mean(young**2)):.2g} %,"
                 f" {100 * np.median(sigma):.2g} % | {np.sqrt(np.mean(ratio**2)):.2g},"
-                f" {np.median(other):.2g} | {kept[0].sum():.0f}; {kept[1].sum():.0f}"
+                f" {np.median(other):.2g} | {hits[0].sum():.0f}; {hits[1].sum():.0f}"
                 f" of {round(kind.share * count)} |",
                 flush=True,
             )

@@ -48,23 +48,23 @@ Answer = Float[np.ndarray, "constants 3"]
 
 def palpate(given: Session, _: Measured) -> Answer:
     """What `palpate fit` says."""
-    found = fit_session(given).estimate
-    return np.array([[a.value, *a.ci95] for a in (found.young_modulus, found.poisson_ratio)])
+    estimate = fit_session(given).estimate
+    return np.array([[a.value, *a.ci95] for a in (estimate.young_modulus, estimate.poisson_ratio)])
 
 
 def finite_elements(given: Session, _: Measured) -> Answer:
     """Quadratic tetrahedra fitted by SciPy, interval from Jacobian and residuals."""
-    contacts = [each.contact for each in given.probings]
+    contacts = [probing.contact for probing in given.probings]
     areas = np.linalg.norm(_areas(given.mesh), axis=1)
     edge = np.sqrt(4 / np.sqrt(3) * areas.mean())
-    fine = [(each.point, 1.2 * each.radius, _FINE * each.radius) for each in contacts]
+    fine = [(contact.point, 1.2 * contact.radius, _FINE * contact.radius) for contact in contacts]
     solid = make_solid(given.mesh, edge=edge, fine=fine)
     held = held_nodes(solid, given.held_triangles)
     loads = [
-        pressure_load(solid, a.point, a.radius, smooth_pressure)[:, None] * each.force
-        for a, each in zip(contacts, given.probings, strict=True)
+        pressure_load(solid, a.point, a.radius, smooth_pressure)[:, None] * probing.force
+        for a, probing in zip(contacts, given.probings, strict=True)
     ]
-    fields = [each.displacement for each in given.probings]
+    fields = [probing.displacement for probing in given.probings]
     seen = [np.isfinite(field.displacement[:, 0]) for field in fields]
     at = surface_values(solid, fields[0].points)
 
@@ -72,8 +72,8 @@ def finite_elements(given: Session, _: Measured) -> Answer:
         body = make_body(solid, held, shear_modulus=np.exp(unknown[0]), poisson_ratio=unknown[1])
         return np.concatenate(
             [
-                ((at @ solve_load(body, load) - field.displacement) / field.std)[own].ravel()
-                for load, field, own in zip(loads, fields, seen, strict=True)
+                ((at @ solve_load(body, load) - field.displacement) / field.std)[points].ravel()
+                for load, field, points in zip(loads, fields, seen, strict=True)
             ]
         )
 
@@ -91,11 +91,11 @@ def virtual_fields(given: Session, body: Measured) -> Answer:
     rows: list[list[float]] = []
     right: list[float] = []
     area = _areas(given.mesh)
-    for each, moved in zip(given.probings, _seen_everywhere(given, body), strict=True):
+    for probing, moved in zip(given.probings, _seen_everywhere(given, body), strict=True):
         gradient = moved[given.mesh.triangles].mean(axis=1).T @ area
         strain = 0.5 * (gradient + gradient.T)
         rows += [[np.trace(strain) * (a == 2), 2 * strain[a, 2]] for a in range(3)]
-        right += list(each.force * each.contact.point[2])
+        right += list(probing.force * probing.contact.point[2])
     matrix = np.array(rows)
     (lame, shear), (square,), *_ = np.linalg.lstsq(matrix, np.array(right))
     freedom = len(right) - 2
@@ -110,11 +110,11 @@ def hertz(given: Session, body: Measured, poisson_ratio: float | None = None) ->
     ratio = body.shape.poisson_ratio if poisson_ratio is None else poisson_ratio
     young: list[float] = []
     fields = _seen_everywhere(given, body)
-    for each, place, moved in zip(given.probings, body.pushes, fields, strict=True):
-        nearest = np.linalg.norm(given.mesh.vertices - place.point, axis=1).argmin()
-        depth = moved[nearest] @ place.inward
-        force = each.force @ place.inward
-        young.append(_MIDDLE * force * (1 - ratio**2) / (each.contact.radius * depth))
+    for probing, push, moved in zip(given.probings, body.pushes, fields, strict=True):
+        nearest = np.linalg.norm(given.mesh.vertices - push.point, axis=1).argmin()
+        depth = moved[nearest] @ push.inward
+        force = probing.force @ push.inward
+        young.append(_MIDDLE * force * (1 - ratio**2) / (probing.contact.radius * depth))
     half = student.ppf(0.975, len(young) - 1) * np.std(young, ddof=1) / np.sqrt(len(young))
     return np.mean(young) + np.array([[0.0, -half, half]])
 
@@ -153,10 +153,10 @@ def _seen_everywhere(given: Session, body: Measured) -> list[np.ndarray]:
     """Displacement of every vertex: also under the tool, with the same noise."""
     rng, support = np.random.default_rng(49), given.mesh.triangles[given.held_triangles]
     every = []
-    for each, moved in zip(given.probings, body.moved, strict=True):
+    for probing, moved in zip(given.probings, body.moved, strict=True):
         true = FARTHEST / np.linalg.norm(moved, axis=1).max() * moved
         full = true + NOISE * np.sqrt((true**2).mean()) * rng.normal(size=true.shape)
-        field = each.displacement.displacement
+        field = probing.displacement.displacement
         full[body.seen] = np.where(np.isfinite(field), field, full[body.seen])
         full[support] = 0.0
         every.append(full)
@@ -182,22 +182,25 @@ def row(name: str, body: Measured, seed: int) -> dict[str, str | int]:
 
 def lines(rows: Sequence[dict[str, str]]) -> list[str]:
     """Lines of the table in docs/comparison.md."""
-    found = []
-    for key in dict.fromkeys((each["body"], each["method"]) for each in rows):
-        own = [each for each in rows if (each["body"], each["method"]) == key]
-        cells = [*key, f"{np.median([float(each['seconds']) for each in own]):.2g}"]
+    table_rows = []
+    for key in dict.fromkeys((result["body"], result["method"]) for result in rows):
+        matching = [result for result in rows if (result["body"], result["method"]) == key]
+        cells = [*key, f"{np.median([float(result['seconds']) for result in matching]):.2g}"]
         for what, digits in (("E", 1), ("nu", 3)):
-            if not own[0][f"{what} off"]:
+            if not matching[0][f"{what} off"]:
                 cells += ["-", "-", "-"]
                 continue
             off, half = (
-                np.array([float(each[f"{what} {name}"]) for each in own]) for name in ("off", "+-")
+                np.array([float(result[f"{what} {name}"]) for result in matching])
+                for name in ("off", "+-")
             )
             cells += [f"{off.mean():+.{digits}f}; {np.sqrt((off**2).mean()):.{digits}f}"]
             cells += [f"{np.median(half):.{digits}f}"]
-            cells += [f"{sum(int(each[f'{what} held']) for each in own)} of {len(own)}"]
-        found.append(f"| {' | '.join(cells)} |")
-    return found
+            cells += [
+                f"{sum(int(result[f'{what} held']) for result in matching)} of {len(matching)}"
+            ]
+        table_rows.append(f"| {' | '.join(cells)} |")
+    return table_rows
 
 
 def main() -> None:
@@ -214,8 +217,8 @@ def main() -> None:
         for body in bodies:
             for name in METHODS:
                 for seed in range(seeds):
-                    writer.writerow(found := row(name, body, seed))
-                    print(found, flush=True)
+                    writer.writerow(answer := row(name, body, seed))
+                    print(answer, flush=True)
                     file.flush()
     with TABLE.open(newline="", encoding="utf-8") as file:
         print("\n".join(lines(list(csv.DictReader(file)))))

@@ -73,8 +73,8 @@ def main() -> None:
         session = Session(
             "half ball", Path(), mesh, held, tuple(several), None, None, None, (), errors=EXACT
         )
-        found = fit_session(session).estimate
-        young, ratio = found.young_modulus, found.poisson_ratio
+        estimate = fit_session(session).estimate
+        young, ratio = estimate.young_modulus, estimate.poisson_ratio
         print(
             f"forces {name:16s} E {100 * (young.value / material.young_modulus - 1):+.2f} %"
             f" (+- {100 * young.std / young.value:.2f}),"

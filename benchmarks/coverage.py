@@ -127,9 +127,9 @@ def measured_coverage(
             bound = fisher_information(
                 probes, poisson_ratio=poisson_ratio, shear_modulus=shear_modulus
             ).bound()
-        found = fit(probes, settings=settings or FitSettings()).intervals
-        errors.append([getattr(found, name).value - truth[name] for name in NAMES])
-        ends = [getattr(found, name).ci95 for name in NAMES]
+        intervals = fit(probes, settings=settings or FitSettings()).intervals
+        errors.append([getattr(intervals, name).value - truth[name] for name in NAMES])
+        ends = [getattr(intervals, name).ci95 for name in NAMES]
         inside.append([e[0] <= truth[name] <= e[1] for e, name in zip(ends, NAMES, strict=True)])
         widths.append([e[1] - e[0] for e in ends])
     limit = np.array([bound[name] for name in NAMES])

@@ -133,19 +133,19 @@ def measured_body(
         # Aitken's extrapolation.
         left = float(np.clip((first * step).sum() / (first**2).sum(), *LEFT))
     rest = step * left / (1.0 - left)
-    own = np.linalg.norm(rest) / np.linalg.norm(fine)
-    return Measured(name, mesh, shape, other.vertices, pushes, fine + rest, float(own), left)
+    difference = np.linalg.norm(rest) / np.linalg.norm(fine)
+    return Measured(name, mesh, shape, other.vertices, pushes, fine + rest, float(difference), left)
 
 
 def oblique_pushes(places: Sequence[Place]) -> list[Place]:
     """Five pushes at the same places, 31 degrees off the normal to one side or another."""
     pushes = []
-    for place, side in zip((*places, *places[:2]), (1.0, 1.0, 1.0, -1.0, -1.0), strict=True):
-        along = np.cross(place.inward, [0.3, 0.9, 0.2])
+    for location, side in zip((*places, *places[:2]), (1.0, 1.0, 1.0, -1.0, -1.0), strict=True):
+        along = np.cross(location.inward, [0.3, 0.9, 0.2])
         if side < 0.0:
-            along = np.cross(place.inward, along)
-        force = place.inward + 0.6 * along / np.linalg.norm(along)
-        pushes.append(Place(place.point, force / np.linalg.norm(force)))
+            along = np.cross(location.inward, along)
+        force = location.inward + 0.6 * along / np.linalg.norm(along)
+        pushes.append(Place(location.point, force / np.linalg.norm(force)))
     return pushes
 
 
@@ -170,7 +170,7 @@ def _solved(
             support_stiffness=stiffness,
         )
         moved = [
-            truth.at(truth.displacement(one.point, one.inward, RADIUS), points) for one in pushes
+            truth.at(truth.displacement(push.point, push.inward, RADIUS), points) for push in pushes
         ]
         folder.mkdir(parents=True, exist_ok=True)
         np.save(file, np.stack(moved))
@@ -199,22 +199,22 @@ def session(body: Measured, errors: ErrorPriors, noise: float, seed: int) -> Ses
     gain, axes, turn, shift, scale = drawn_errors(errors, rng)
     centre = mesh.vertices.mean(axis=0)
     points = turn.apply(body.points[seen] - centre) + centre + shift
-    told = closest_points(mesh, points)
+    surface = closest_points(mesh, points)
     probings = []
-    for k, (place, moved) in enumerate(zip(body.pushes, body.moved, strict=True)):
+    for k, (location, moved) in enumerate(zip(body.pushes, body.moved, strict=True)):
         push = FARTHEST / float(np.linalg.norm(moved, axis=1).max())
         moved = push * moved
-        force = push * (gain * axes.apply(place.inward) + errors.force * rng.normal(size=3))
+        force = push * (gain * axes.apply(location.inward) + errors.force * rng.normal(size=3))
         beside = errors.contact_point * rng.normal(size=3)
-        beside -= beside @ place.inward * place.inward
-        point = closest_points(mesh, (place.point + beside)[None]).position[0]
+        beside -= beside @ location.inward * location.inward
+        point = closest_points(mesh, (location.point + beside)[None]).position[0]
         radius = RADIUS * (1.0 + errors.contact_radius * float(np.clip(rng.normal(), -2.5, 2.5)))
         sigma = noise * float(np.sqrt((moved**2).mean()))
         field = scale * turn.apply(moved[seen]) + sigma * rng.normal(size=(len(seen), 3))
         # No camera sees what the tool covers.
-        field[np.linalg.norm(body.points[seen] - place.point, axis=1) < RADIUS] = np.nan
+        field[np.linalg.norm(body.points[seen] - location.point, axis=1) < RADIUS] = np.nan
         std = np.full_like(field, sigma) if noise else None
-        displacement = DisplacementField(told.position, field, std, None, told, "truth")
+        displacement = DisplacementField(surface.position, field, std, None, surface, "truth")
         probings.append(
             Probing(
                 f"n{k}", Contact(point, radius, "smooth"), force, None, None, None, displacement,
@@ -262,19 +262,19 @@ def main() -> None:
             f"truth extrapolated by {100 * body.own:.2f} %, its steps by {body.left:.2f} each"
         )
         print(f"{'':10s} clean                 {errors_of(clean, body.truth)}", flush=True)
-        found = []
+        holding = []
         for seed in range(count):
             noisy = session(body, ErrorPriors(), NOISE, seed)
             fitted = fit_session(noisy, cache=folder / "integrals", material=Material.AUTO)
             estimate = fitted.estimate
             uneven += estimate.status is Status.HETEROGENEOUS
-            found.append(held(estimate, body.truth))
+            holding.append(held(estimate, body.truth))
             print(
                 f"{'':10s} session {seed:2d}            {errors_of(estimate, body.truth)}",
                 flush=True,
             )
-        every += found
-        print(f"{'':10s} of {count}: {counts(found)}", flush=True)
+        every += holding
+        print(f"{'':10s} of {count}: {counts(holding)}", flush=True)
     print(
         f"of {len(every)} sessions intervals hold: {counts(every)}; called heterogeneous: {uneven}"
     )

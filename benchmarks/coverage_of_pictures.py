@@ -34,7 +34,8 @@ def drawn(seed: int) -> LabConfig:
     share = young / config.material.young_modulus
     # Pressed as far as the bench's own material is.
     probes = tuple(
-        one if one.force is None else replace(one, force=share * one.force) for one in config.probes
+        probe if probe.force is None else replace(probe, force=share * probe.force)
+        for probe in config.probes
     )
     return replace(
         config,
@@ -53,7 +54,10 @@ def with_gain(session: Session, seed: int) -> Session:
     rng = np.random.default_rng([seed, 4])
     gain = 1.0 + session.errors.force_gain * rng.normal()
     return replace(
-        session, probings=tuple(replace(one, force=gain * one.force) for one in session.probings)
+        session,
+        probings=tuple(
+            replace(probing, force=gain * probing.force) for probing in session.probings
+        ),
     )
 
 
@@ -70,11 +74,12 @@ def main() -> None:
             estimate = fit_session(with_pictures_measured(session)).estimate
         truth = dict(zip(NAMES, (ratio, young / (2 * (1 + ratio)), young), strict=True))
         holding.append(held(estimate, truth))
-        one, other = estimate.young_modulus, estimate.poisson_ratio
+        young_modulus, poisson_ratio = estimate.young_modulus, estimate.poisson_ratio
         print(
-            f"{config.name:32s} E {100 * (one.value / young - 1):+6.2f} %"
-            f" (+- {100 * one.std / young:5.2f})   nu {ratio:.3f} {other.value - ratio:+.4f}"
-            f" (+- {other.std:.4f})   {estimate.status}   {holding[-1]}",
+            f"{config.name:32s} E {100 * (young_modulus.value / young - 1):+6.2f} % (+-"
+            f" {100 * young_modulus.std / young:5.2f})   nu {ratio:.3f}"
+            f" {poisson_ratio.value - ratio:+.4f} (+- {poisson_ratio.std:.4f})   {estimate.status}"
+            f"   {holding[-1]}",
             flush=True,
         )
     counts = ", ".join(f"{n} {k}" for n, k in zip(NAMES, np.sum(holding, axis=0), strict=True))

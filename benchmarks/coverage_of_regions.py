@@ -45,14 +45,14 @@ def measured(name: str, kind: str, folder: Path) -> Measured:
 def fitted(body: Measured, kind: str, seed: int, folder: Path) -> Row:
     """What a fit of one draw says of the region and of the rest."""
     start, true = time.perf_counter(), REGIONS[kind][1]
-    told = session(body, ErrorPriors(), NOISE, seed)
-    told = replace(told, regions=regions_of(body.mesh, kind))
+    drawn = session(body, ErrorPriors(), NOISE, seed)
+    drawn = replace(drawn, regions=regions_of(body.mesh, kind))
     cache = folder / "integrals"
-    estimate = fit_session(told, cache=cache, material=Material.REGIONS).estimate
+    estimate = fit_session(drawn, cache=cache, material=Material.REGIONS).estimate
     (region,) = estimate.regions
     moduli = (region.shear_modulus, np.log(SHEAR_MODULUS) + true), (region.ratio, true)
     (off, sigma), (ratio_off, ratio_sigma) = (
-        (float(np.log(each.value) - log), each.std / each.value) for each, log in moduli
+        (float(np.log(modulus.value) - log), modulus.std / modulus.value) for modulus, log in moduli
     )
     low, high = region.shear_modulus.ci95
     holds = held(estimate, constants(body.shape))
@@ -91,10 +91,10 @@ def main() -> None:
     every: list[Row] = []
     for name in given.body:
         for kind in given.kind:
-            body, found = measured(name, kind, given.folder), list[Row]()
+            body, rows = measured(name, kind, given.folder), list[Row]()
             for seed in range(given.sessions):
-                found.append(fitted(body, kind, seed, given.folder))
-                row = found[-1]
+                rows.append(fitted(body, kind, seed, given.folder))
+                row = rows[-1]
                 print(
                     f"{name} {kind}: session {seed}, log G off by {row['off']:+.3f}"
                     f" (+- {row['sigma']:.3f}) {row['status']} {row['seconds']:.0f} s",
@@ -103,9 +103,9 @@ def main() -> None:
                 with (given.folder / "regions.csv").open("w", newline="") as file:
                     writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
                     writer.writeheader()
-                    writer.writerows([*every, *found])
-            every += found
-            print(f"{name} {kind}: {summary(found)}", flush=True)
+                    writer.writerows([*every, *rows])
+            every += rows
+            print(f"{name} {kind}: {summary(rows)}", flush=True)
     print(f"all: {summary(every)}")
 
 

@@ -36,7 +36,9 @@ UNSURE = 0.2
 BODIES = ("block", "egg")
 
 
-def told(body: Measured, errors: ErrorPriors, noise: float, seed: int, unsure: float) -> Session:
+def measured_session(
+    body: Measured, errors: ErrorPriors, noise: float, seed: int, unsure: float
+) -> Session:
     """A session that tells the springs, wrong by as much as it says they may be."""
     draw = np.random.default_rng([seed, 77]).normal()
     softer = 1.0 + unsure * float(np.clip(draw, -2.5, 2.5))
@@ -45,10 +47,10 @@ def told(body: Measured, errors: ErrorPriors, noise: float, seed: int, unsure: f
     return replace(plain, supports=(support,))
 
 
-def timed(one: Session, folder: Path) -> tuple[Estimate, float]:
+def timed(given: Session, folder: Path) -> tuple[Estimate, float]:
     """The fit of a session and the processor's time that it took [s]."""
     start = time.process_time()
-    estimate = fit_session(one, cache=folder / "integrals").estimate
+    estimate = fit_session(given, cache=folder / "integrals").estimate
     return estimate, time.process_time() - start
 
 
@@ -58,13 +60,13 @@ def main() -> None:
     every: dict[str, list[np.ndarray]] = {"known": [], "to a fifth": []}
     for name in sys.argv[3:] or BODIES:
         body = measured_body(name, folder, STIFFNESS)
-        clean = told(body, EXACT, 0.0, 0, 0.0)
+        clean = measured_session(body, EXACT, 0.0, 0, 0.0)
         rigid = replace(clean, supports=(Support(clean.held_triangles),))
-        for kind, one in (("clean", clean), ("clean, taken as rigid", rigid)):
-            print(f"{name}: {kind} {errors_of(timed(one, folder)[0], body.truth)}", flush=True)
+        for kind, given in (("clean", clean), ("clean, taken as rigid", rigid)):
+            print(f"{name}: {kind} {errors_of(timed(given, folder)[0], body.truth)}", flush=True)
         for seed in range(count):
             for known, unsure in zip(every, (0.0, UNSURE), strict=True):
-                noisy = told(body, ErrorPriors(), NOISE, seed, unsure)
+                noisy = measured_session(body, ErrorPriors(), NOISE, seed, unsure)
                 estimate, seconds = timed(noisy, folder)
                 every[known].append(held(estimate, body.truth))
                 print(
@@ -72,8 +74,8 @@ def main() -> None:
                     f"{errors_of(estimate, body.truth)}",
                     flush=True,
                 )
-    for known, found in every.items():
-        print(f"springs {known}: of {len(found)} sessions intervals hold {counts(found)}")
+    for known, holding in every.items():
+        print(f"springs {known}: of {len(holding)} sessions intervals hold {counts(holding)}")
 
 
 if __name__ == "__main__":

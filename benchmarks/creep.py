@@ -145,7 +145,7 @@ def draws(
     instant, last = np.arange(1, len(times), every), len(times) - 1
     modulus, unit = truth.relaxation(), truth.response(times, force)[-1]
     true = np.log(np.append(modulus.at(AT), [modulus.instantaneous, modulus.long_term]) * unit)
-    found: dict = {"terms": Counter(), "error": [], "hold": [], "times": []}
+    result: dict = {"terms": Counter(), "error": [], "hold": [], "times": []}
     for seed in range(count):
         rng = np.random.default_rng(seed)
         white = rng.standard_normal(len(times))
@@ -153,16 +153,16 @@ def draws(
             white[k] = correlation * white[k - 1] + np.sqrt(1 - correlation**2) * white[k]
         measured = (moved + noise * white)[instant]
         std = np.full(len(instant), noise)
-        one = Motion(times, force, instant, measured, std, last)
-        fitted = fit_creep([one], shortest=RISE, longest=HOLD / 3.0)
+        motion = Motion(times, force, instant, measured, std, last)
+        fitted = fit_creep([motion], shortest=RISE, longest=HOLD / 3.0)
         value, width = fitted.logarithm(_quantities)
-        found["terms"][fitted.terms] += 1
-        found["error"].append(value - true)
-        found["hold"].append(np.abs(value - true) <= fitted.quantile * width)
+        result["terms"][fitted.terms] += 1
+        result["error"].append(value - true)
+        result["hold"].append(np.abs(value - true) <= fitted.quantile * width)
         if fitted.terms == len(truth.times):
             apart = np.log(fitted.compliance.times) - np.log(truth.times)
-            found["times"].append(np.abs(np.expm1(apart)))
-    return found
+            result["times"].append(np.abs(np.expm1(apart)))
+    return result
 
 
 def _quantities(compliance: CreepCompliance) -> np.ndarray:
@@ -197,8 +197,8 @@ def ball(
         design = np.stack(columns, axis=1) * root[:, None]
         amplitude = np.linalg.lstsq(design, (shapes * root).T)[0][0]
     instant, last = np.arange(1, len(times)), len(times) - 1
-    one = Motion(times, force, instant, amplitude[1:], np.full(last, 1e-3), last)
-    fitted = fit_creep([one], shortest=RISE, longest=HOLD / 3.0)
+    motion = Motion(times, force, instant, amplitude[1:], np.full(last, 1e-3), last)
+    fitted = fit_creep([motion], shortest=RISE, longest=HOLD / 3.0)
     true = TWO.relaxation().at(AT) * moved[-1]
     return np.log(fitted.compliance.relaxation().at(AT) / true)
 
@@ -241,8 +241,12 @@ def ball_on_cube() -> np.ndarray:
         _write_field(folder / "n01.csv", points, moved[-1], noise)
         (folder / "n01_series.csv").write_text("\n".join([*rows, ""]))
         (folder / "session.toml").write_text(text + _SERIES)
-        found = fit_session(read_session(folder)).estimate.relaxation
-    at = [each.modulus.value for each in found.curve if min(abs(np.log(each.time / AT))) < 1e-6]
+        relaxation = fit_session(read_session(folder)).estimate.relaxation
+    at = [
+        point.modulus.value
+        for point in relaxation.curve
+        if min(abs(np.log(point.time / AT))) < 1e-6
+    ]
     return np.log(np.array(at) / (SHEAR * TWO.relaxation().at(AT)))
 
 
@@ -288,20 +292,22 @@ def sessions(count: int) -> tuple[np.ndarray, np.ndarray, Counter]:
                 Path(folder) / "cube", TWO, noise=0.01, seed=seed, instants=range(1, 320, 8),
                 gain=gain,
             )  # fmt: skip
-            found = fit_session(read_session(path)).estimate.relaxation
-        at = [each.modulus for each in found.curve if min(abs(np.log(each.time / AT))) < 1e-6]
-        errors.append([np.log(each.value) - x for each, x in zip(at, true, strict=True)])
+            relaxation = fit_session(read_session(path)).estimate.relaxation
+        at = [
+            point.modulus for point in relaxation.curve if min(abs(np.log(point.time / AT))) < 1e-6
+        ]
+        errors.append([np.log(modulus.value) - x for modulus, x in zip(at, true, strict=True)])
         hold.append([
-            np.log(each.ci95[0]) <= x <= np.log(each.ci95[1])
-            for each, x in zip(at, true, strict=True)
+            np.log(modulus.ci95[0]) <= x <= np.log(modulus.ci95[1])
+            for modulus, x in zip(at, true, strict=True)
         ])  # fmt: skip
-        terms[len(found.terms)] += 1
+        terms[len(relaxation.terms)] += 1
     return np.array(errors), np.array(hold), terms
 
 
 def seconds() -> tuple[float, float]:
     """Reading and fitting of one instant, and of a series of 319: the fastest of three."""
-    found = []
+    fastest = []
     with tempfile.TemporaryDirectory() as folder:
         for name, instants in (("static", ()), ("series", None)):
             path = write_creeping_session(Path(folder) / name, TWO, noise=0.01, instants=instants)
@@ -310,8 +316,8 @@ def seconds() -> tuple[float, float]:
                 start = time.perf_counter()
                 fit_session(read_session(path))
                 taken.append(time.perf_counter() - start)
-            found.append(min(taken))
-    return found[0], found[1]
+            fastest.append(min(taken))
+    return fastest[0], fastest[1]
 
 
 def _rms(values: np.ndarray) -> np.ndarray:
@@ -331,15 +337,15 @@ def main() -> None:
         for noise, correlation, every in (
             (0.003, 0.0, 1), (0.01, 0.0, 1), (0.01, 0.6, 1), (0.03, 0.0, 1), (0.01, 0.0, 16)
         ):  # fmt: skip
-            found = draws(truth, noise=noise, count=count, correlation=correlation, every=every)
-            rms = _rms(found["error"])
+            result = draws(truth, noise=noise, count=count, correlation=correlation, every=every)
+            rms = _rms(result["error"])
             # What is known to one part in five thousand is not a matter of an interval.
-            hold = np.where(rms > 0.02, np.mean(found["hold"], axis=0), np.nan)
+            hold = np.where(rms > 0.02, np.mean(result["hold"], axis=0), np.nan)
             print(
                 f"{name}, noise {noise:g}, correlated {correlation:g}, {320 // every} instants:"
-                f" terms {dict(found['terms'])}, rms % of G at 1, 10, 100 s, at once, long term"
+                f" terms {dict(result['terms'])}, rms % of G at 1, 10, 100 s, at once, long term"
                 f" {rms.round(2)}, hold {hold.round(3)},"
-                f" times {_rms(found['times']).round(1) if len(truth.times) else ''}",
+                f" times {_rms(result['times']).round(1) if len(truth.times) else ''}",
                 flush=True,
             )
     errors, hold, terms = sessions(40)

@@ -42,7 +42,7 @@ def measure(options: Options) -> list[Figure]:
 def _worst(cells: int, tolerance: float) -> tuple[float, float, str]:
     """Largest errors in u and in t, and the problem with the largest in u."""
     mesh, face = cube(cells)
-    found = []
+    errors = []
     for name, faces in SUPPORTS.items():
         held = np.flatnonzero(np.isin(face, faces))
         surface = make_surface(mesh, held)
@@ -54,8 +54,8 @@ def _worst(cells: int, tolerance: float) -> tuple[float, float, str]:
                     surface, field, flat_normals(mesh), quadrature=Quadrature(tolerance)
                 )
                 u, t = _errors(outcome, cells, strain, nu)
-                found.append((u, t, f"{kind}, {name}, nu {nu}"))
-    return max(f[0] for f in found), max(f[1] for f in found), max(found)[2]
+                errors.append((u, t, f"{kind}, {name}, nu {nu}"))
+    return max(f[0] for f in errors), max(f[1] for f in errors), max(errors)[2]
 
 
 def _errors(

@@ -85,10 +85,10 @@ def _potato() -> Any:
     toward /= np.linalg.norm(toward, axis=1)[:, None]
     size = 1.6 * rng.normal(size=12)
 
-    def level(place: np.ndarray) -> float:
-        place = place - [0, 0, 15]
-        radius = float(np.linalg.norm(place)) + 1e-9
-        return 28.0 + float(size @ (toward @ place / radius) ** 3) - radius
+    def level(point: np.ndarray) -> float:
+        point = point - [0, 0, 15]
+        radius = float(np.linalg.norm(point)) + 1e-9
+        return 28.0 + float(size @ (toward @ point / radius) ** 3) - radius
 
     return _within(level)
 
@@ -97,8 +97,8 @@ def _kidney() -> Any:
     """An ellipsoid with a rounded dent."""
     round_by = 0.25
 
-    def level(place: np.ndarray) -> float:
-        x, y, z = place - [0, 0, 12]
+    def level(point: np.ndarray) -> float:
+        x, y, z = point - [0, 0, 12]
         body = 1 - np.sqrt((x / 45) ** 2 + (y / 30) ** 2 + (z / 24) ** 2)
         dent = np.sqrt((x / 20) ** 2 + ((y - 34) / 18) ** 2 + (z / 40) ** 2) - 1
         share = float(np.clip(0.5 + 0.5 * (dent - body) / round_by, 0, 1))

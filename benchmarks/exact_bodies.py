@@ -75,9 +75,9 @@ def _with_tips(given: Session, body: Measured) -> Session:
     """The displacement of every contact point, too, which is a place that is seen."""
     probings = []
     for probing, push, moved in zip(given.probings, body.pushes, body.moved, strict=True):
-        place = int(np.linalg.norm(body.points - push.point, axis=1).argmin())
+        nearest = int(np.linalg.norm(body.points - push.point, axis=1).argmin())
         size = float(np.linalg.norm(probing.force))
-        probings.append(replace(probing, tip_displacement=size * moved[place]))
+        probings.append(replace(probing, tip_displacement=size * moved[nearest]))
     return replace(given, probings=tuple(probings))
 
 
@@ -86,15 +86,15 @@ def _with_std(given: Session, share: float) -> Session:
     for probing in given.probings:
         field = probing.displacement
         sigma = share * float(np.sqrt(np.nanmean(field.displacement**2)))
-        told = replace(field, std=np.full_like(field.displacement, sigma))
-        probings.append(replace(probing, displacement=told))
+        claimed = replace(field, std=np.full_like(field.displacement, sigma))
+        probings.append(replace(probing, displacement=claimed))
     return replace(given, probings=tuple(probings))
 
 
 def _with_wrong_force(given: Session, share: float) -> Session:
     probings = [
-        replace(each, force=(1.0 + share) * each.force) if each.name == WRONG else each
-        for each in given.probings
+        replace(probing, force=(1.0 + share) * probing.force) if probing.name == WRONG else probing
+        for probing in given.probings
     ]
     return replace(given, probings=tuple(probings))
 
@@ -102,7 +102,7 @@ def _with_wrong_force(given: Session, share: float) -> Session:
 def outcome(body: Measured, variant: str, estimate: Estimate) -> Outcome:
     """What a session gave."""
     truth = body.truth
-    errors = [*estimate.errors, *(error for one in estimate.probes for error in one.errors)]
+    errors = [*estimate.errors, *(error for probe in estimate.probes for error in probe.errors)]
     return Outcome(
         body.name,
         variant,
@@ -124,33 +124,33 @@ def main() -> None:
         print(f"{name}: truth extrapolated by {100 * body.own:.2f} %")
         for variant, given in variants(body):
             estimate = fit_session(given, cache=folder / "integrals").estimate
-            found = outcome(body, variant, estimate)
-            outcomes.append(found)
-            marks = "".join("." if one else "x" for one in found.held)
+            result = outcome(body, variant, estimate)
+            outcomes.append(result)
+            marks = "".join("." if holds else "x" for holds in result.held)
             print(
                 f"  {variant:24s} {errors_of(estimate, body.truth)} {marks}"
-                f" {found.widest:.3f} {found.freed}",
+                f" {result.widest:.3f} {result.freed}",
                 flush=True,
             )
     print(_summary(outcomes))
 
 
 def _summary(every: list[Outcome]) -> str:
-    outcomes = [one for one in every if WRONG not in one.variant]
-    wrong = [one for one in every if WRONG in one.variant]
-    found = sum(one.freed.count("'") == 2 and WRONG in one.freed for one in wrong)
-    young = 100 * np.abs([one.young for one in outcomes])
-    poisson = np.abs([one.poisson for one in outcomes])
-    intervals = np.mean([one.held for one in outcomes])
+    outcomes = [result for result in every if WRONG not in result.variant]
+    wrong = [result for result in every if WRONG in result.variant]
+    freed = sum(result.freed.count("'") == 2 and WRONG in result.freed for result in wrong)
+    young = 100 * np.abs([result.young for result in outcomes])
+    poisson = np.abs([result.poisson for result in outcomes])
+    intervals = np.mean([result.held for result in outcomes])
     return (
-        f"of {len(outcomes)} sessions: ok {sum(one.is_ok for one in outcomes)}; E off by at most"
-        f" {young.max():.2f} %, 95 of 100 by {np.quantile(young, 0.95):.2f} %, half by"
+        f"of {len(outcomes)} sessions: ok {sum(result.is_ok for result in outcomes)}; E off by at"
+        f" most {young.max():.2f} %, 95 of 100 by {np.quantile(young, 0.95):.2f} %, half by"
         f" {np.median(young):.2f} %; nu by {poisson.max():.4f}, {np.quantile(poisson, 0.95):.4f},"
         f" {np.median(poisson):.4f}; intervals hold {100 * intervals:.1f} %; forces left out in"
-        f" {sum(bool(one.freed) for one in outcomes)}; widest posterior over prior"
-        f" {max(one.widest for one in outcomes):.4f}. Of {len(wrong)} wrong forces {found}"
+        f" {sum(bool(result.freed) for result in outcomes)}; widest posterior over prior"
+        f" {max(result.widest for result in outcomes):.4f}. Of {len(wrong)} wrong forces {freed}"
         " were found and no other, E off by at most"
-        f" {100 * max(abs(one.young) for one in wrong):.2f} %"
+        f" {100 * max(abs(result.young) for result in wrong):.2f} %"
     )
 
 

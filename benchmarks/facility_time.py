@@ -50,7 +50,7 @@ def _first_hits_only() -> Iterator[None]:
 
     def without_light(mitsuba, bodies, light):
         depth = mitsuba.load_dict({"type": "depth"})
-        return [(each, depth) for each, _ in passes(mitsuba, bodies, light)]
+        return [(ray, depth) for ray, _ in passes(mitsuba, bodies, light)]
 
     with patch.object(scene, "_passes", without_light):
         yield

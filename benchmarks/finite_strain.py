@@ -76,12 +76,12 @@ def pressed(name: str, mesh: str, depth: int) -> Session:
     points = surface.vertices[free]
     probings = []
     for number, point in enumerate(body.point):
-        place = STORED / f"{name}-{number}-{mesh}.npz"
-        if not place.exists():
+        file = STORED / f"{name}-{number}-{mesh}.npz"
+        if not file.exists():
             continue
-        with np.load(place) as stored:
+        with np.load(file) as stored:
             if not np.allclose(stored["position"], surface.vertices, rtol=0.0, atol=1e-9):
-                raise SystemExit(f"{place} belongs to another mesh: make it again")
+                raise SystemExit(f"{file} belongs to another mesh: make it again")
             moved, force = stored["displacement"][depth][free], stored["force"][depth]
         field = DisplacementField(points, moved, None, None, closest_points(surface, points), "")
         contact = Contact.under(Sphere(BALL), point, float(np.ptp(surface.vertices)))
@@ -103,16 +103,16 @@ def against_calculix(wanted: Iterable[str]) -> None:
             session = pressed(name, mesh, number)
             print(f"{key}, {len(session.probings)} presses, {depth:g} of the ball's radius deep")
             for corrected in (False, True):
-                found = fit_session(session, finite_strain=corrected).estimate
-                error = found.young_modulus.value / young - 1.0
-                low, high = (100 * (end / young - 1.0) for end in found.young_modulus.ci95)
-                least, most = (end - ratio for end in found.poisson_ratio.ci95)
+                estimate = fit_session(session, finite_strain=corrected).estimate
+                error = estimate.young_modulus.value / young - 1.0
+                low, high = (100 * (end / young - 1.0) for end in estimate.young_modulus.ci95)
+                least, most = (end - ratio for end in estimate.poisson_ratio.ci95)
                 print(
                     f"  {'corrected' if corrected else 'linear':9s} E {100 * error:+6.2f} %"
                     f" ({low:+.2f} to {high:+.2f}), nu"
-                    f" {found.poisson_ratio.value - ratio:+.4f} ({least:+.4f} to {most:+.4f})"
-                    f"   {found.status}",
-                    *(note for note in found.notes if note.startswith("Finite strain")),
+                    f" {estimate.poisson_ratio.value - ratio:+.4f} ({least:+.4f} to {most:+.4f})"
+                    f"   {estimate.status}",
+                    *(note for note in estimate.notes if note.startswith("Finite strain")),
                     flush=True,
                 )
 
@@ -132,11 +132,12 @@ def against_ourselves() -> None:
         depth = float(np.abs(nodal).max()) / RADIUS
         print(f"pressed in by {100 * depth:.0f} % of the contact's radius")
         for name, corrected in (("linear", False), ("corrected", True)):
-            found = fit_session(cube(push, seen @ nodal), finite_strain=corrected).estimate
-            error = found.young_modulus.value / truth.young_modulus.value - 1
+            estimate = fit_session(cube(push, seen @ nodal), finite_strain=corrected).estimate
+            error = estimate.young_modulus.value / truth.young_modulus.value - 1
             print(
                 f"  {name:9s} E {100 * error:+6.2f} %, nu"
-                f" {found.poisson_ratio.value - truth.poisson_ratio.value:+.4f}   {found.status}",
+                f" {estimate.poisson_ratio.value - truth.poisson_ratio.value:+.4f}"
+                f"   {estimate.status}",
                 flush=True,
             )
 

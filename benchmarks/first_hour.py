@@ -39,48 +39,48 @@ def measure(_: Options) -> list[Figure]:
     """Minutes of both ways, and what they end with."""
     recorded = MADE / "tutorial"
     with tempfile.TemporaryDirectory() as name:
-        place = Path(name)
+        root = Path(name)
         if not recorded.exists():
-            seconds(["lab", "tutorial", str(recorded)], place / "made")
-        shutil.copytree(recorded, place / "robot", ignore=shutil.ignore_patterns("truth"))
-        _write_tables(place / "tables")
+            seconds(["lab", "tutorial", str(recorded)], root / "made")
+        shutil.copytree(recorded, root / "robot", ignore=shutil.ignore_patterns("truth"))
+        _write_tables(root / "tables")
         return [
-            _way("a robot's films and force log", _ROBOT, place / "robot", "52 kPa and 0.21"),
-            _way("tables of image correlation", _TABLES, place / "tables", "60 kPa and 0.3"),
+            _way("a robot's films and force log", _ROBOT, root / "robot", "52 kPa and 0.21"),
+            _way("tables of image correlation", _TABLES, root / "tables", "60 kPa and 0.3"),
         ]
 
 
-def _way(what: str, commands: tuple[str, ...], place: Path, truth: str) -> Figure:
+def _way(what: str, commands: tuple[str, ...], folder: Path, truth: str) -> Figure:
     """Minutes of all commands of a way, with an empty cache of kernels."""
-    cache = place.parent / f"{place.name} cache"
-    took = [seconds(command.split(), cache, place) for command in commands]
-    found = read_estimate(place / "result" / "estimate.json")
-    young, ratio = found.young_modulus, found.poisson_ratio
+    cache = folder.parent / f"{folder.name} cache"
+    took = [seconds(command.split(), cache, folder) for command in commands]
+    estimate = read_estimate(folder / "result" / "estimate.json")
+    young, ratio = estimate.young_modulus, estimate.poisson_ratio
     stiff, within = 1e-3 * np.array([young.value, *young.ci95]), ratio.ci95
-    each = ", ".join(
+    times = ", ".join(
         f"{command.split()[0]} {time:.0f} s" for command, time in zip(commands, took, strict=True)
     )
     note = (
-        f"{each}, kernels compiled on the way; E {stiff[0]:.4g} kPa ({stiff[1]:.4g} to"
+        f"{times}, kernels compiled on the way; E {stiff[0]:.4g} kPa ({stiff[1]:.4g} to"
         f" {stiff[2]:.4g}), nu {ratio.value:.4g} ({within[0]:.4g} to {within[1]:.4g}); the truth is"
         f" {truth}"
     )
     return Figure(DOOR, f"from {what} to constants, all commands", sum(took) / 60.0, "min", note)
 
 
-def _write_tables(place: Path) -> None:
+def _write_tables(root: Path) -> None:
     """The half ball of the examples, its displacements as VIC-3D exports them."""
-    ball = place / "ball"
+    ball = root / "ball"
     ball.mkdir(parents=True)
     example = ROOT / "examples" / "half_ball"
     shutil.copy(example / "mesh.ply", ball)
     lines = (example / "session.toml").read_text(encoding="utf-8").splitlines(keepends=True)
-    kept = [line for line in lines if not line.startswith("displacement")]
-    write_text(ball / "session.toml", "".join(kept))
-    write_text(place / "pose.toml", _POSE)
+    remaining = [line for line in lines if not line.startswith("displacement")]
+    write_text(ball / "session.toml", "".join(remaining))
+    write_text(root / "pose.toml", _POSE)
     turn, shift = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([10.0, -5.0, 400.0])
     for number in range(1, 7):
         rows = np.genfromtxt(example / f"p{number}.csv", delimiter=",", skip_header=1)
         table = np.hstack([(rows[:, :3] - shift) @ turn, rows[:, 3:6] @ turn])
         head = ",".join(f"{name} [mm]" for name in "XYZUVW")
-        np.savetxt(place / f"p{number}.csv", table, delimiter=",", header=head, comments="")
+        np.savetxt(root / f"p{number}.csv", table, delimiter=",", header=head, comments="")

@@ -30,7 +30,9 @@ def _figures(level: int) -> list[Figure]:
     fit_session(session)
     # In turns: whatever else the machine does then disturbs both sides of the ratio alike.
     rounds = [_round(session, surface, size) for _ in range(3)]
-    stages = min((found for found, _, _ in rounds), key=lambda seconds: seconds["total"])
+    stages = min(
+        (stage_seconds for stage_seconds, _, _ in rounds), key=lambda seconds: seconds["total"]
+    )
     assembly = min(seconds for _, seconds, _ in rounds)
     factorisation = min(seconds for _, _, seconds in rounds)
     with counted_operations() as operations:

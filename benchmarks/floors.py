@@ -52,12 +52,12 @@ def interpolation_rate() -> float:
     grey = np.random.default_rng(0).uniform(0.0, 255.0, (480, 640))
     coefficients = make_spline_picture(grey.astype(np.float32)).coefficients
     row, column = np.indices((_WINDOW, _WINDOW)).reshape(2, -1).astype(np.float32)
-    found = np.empty_like(row)
+    values = np.empty_like(row)
 
     def windows() -> None:
         for shift in range(_WINDOWS):
             at = np.float32(20.3 + shift % 400)
-            sample_kernel(coefficients, column + at, row + at, found)
+            sample_kernel(coefficients, column + at, row + at, values)
 
     return _WINDOWS * row.size / shortest(windows)
 
@@ -110,19 +110,19 @@ class Operations:
 @contextmanager
 def counted_operations() -> Iterator[Operations]:
     """Counts what the model's matrices take while the block runs."""
-    found = Operations()
+    operations = Operations()
     lu_factor, lu_solve, product = factors.lu_factor, factors.lu_solve, matrix._product
 
     def factorised(a, **options):
-        found.add("factors", a.dtype, 2.0 / 3.0 * len(a) ** 3)
+        operations.add("factors", a.dtype, 2.0 / 3.0 * len(a) ** 3)
         return lu_factor(a, **options)
 
     def solved(lu, b, **options):
-        found.add("solutions", lu[0].dtype, 2.0 * len(b) ** 2 * b.shape[1])
+        operations.add("solutions", lu[0].dtype, 2.0 * len(b) ** 2 * b.shape[1])
         return lu_solve(lu, b, **options)
 
     def multiplied(a, b):
-        found.add("derivatives", a.dtype, 2.0 * a.shape[0] * a.shape[1] * b.shape[1])
+        operations.add("derivatives", a.dtype, 2.0 * a.shape[0] * a.shape[1] * b.shape[1])
         return product(a, b)
 
     with (
@@ -130,4 +130,4 @@ def counted_operations() -> Iterator[Operations]:
         patch.object(factors, "lu_solve", solved),
         patch.object(matrix, "_product", multiplied),
     ):
-        yield found
+        yield operations

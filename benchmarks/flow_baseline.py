@@ -44,7 +44,7 @@ def measure(options: Options) -> list[Figure]:
     sets = [_rigid(name) for name in (RIGID[:1] if options.quick else RIGID)]
     if not options.quick:
         sets.append(_ball())
-    return [figure for one in sets for figure in (_share(one), *_own(one))]
+    return [figure for compared in sets for figure in (_share(compared), *_own(compared))]
 
 
 def _rigid(name: str) -> _Compared:
@@ -61,13 +61,13 @@ def _ball() -> _Compared:
 
 def _compared(session: Session, truth: list[np.ndarray]) -> _Compared:
     """Both methods over the same instants, at the same vertices."""
-    found = {
+    motions = {
         name: measure_motion(session, method=FLOW_METHODS[name](), pose="given").motions
         for name in ("joint", "lang-pai")
     }
     ours, theirs, moved = [], [], []
-    for joint, paper, true in zip(found["joint"], found["lang-pai"], truth, strict=True):
-        errors = [one.vertices.displacement - true for one in (joint, paper)]
+    for joint, paper, true in zip(motions["joint"], motions["lang-pai"], truth, strict=True):
+        errors = [flow.vertices.displacement - true for flow in (joint, paper)]
         both = np.isfinite(errors).all(axis=(0, 2))
         ours.append(errors[0][both])
         theirs.append(errors[1][both])
@@ -75,30 +75,30 @@ def _compared(session: Session, truth: list[np.ndarray]) -> _Compared:
     return _Compared(session.path.parent.name, ours, theirs, moved)
 
 
-def _share(one: _Compared) -> Figure:
-    ours, theirs = (_rms(np.concatenate(errors)) for errors in (one.ours, one.theirs))
-    count = sum(len(error) for error in one.ours)
+def _share(compared: _Compared) -> Figure:
+    ours, theirs = (_rms(np.concatenate(errors)) for errors in (compared.ours, compared.theirs))
+    count = sum(len(error) for error in compared.ours)
     return Figure(
         FLOW,
-        f"{one.name}: share of the paper's method's error that is left",
+        f"{compared.name}: share of the paper's method's error that is left",
         ours / theirs,
         note=f"rms of vertex displacement {1e3 * ours:.4f} mm against {1e3 * theirs:.3f} mm at the"
-        f" same {count} vertices of {len(one.ours)} instants",
+        f" same {count} vertices of {len(compared.ours)} instants",
     )
 
 
-def _own(one: _Compared) -> list[Figure]:
+def _own(compared: _Compared) -> list[Figure]:
     """Rows beside those of `flow_rendered`."""
-    rms = [1e3 * _rms(error) for error in one.theirs]
-    title = f"beside it: lang-pai, {one.name}"
+    rms = [1e3 * _rms(error) for error in compared.theirs]
+    title = f"beside it: lang-pai, {compared.name}"
     listed = ", ".join(f"{value:.3g}" for value in rms)
     figures = [
         Figure(FLOW, f"{title}: rms of vertex displacement, worst instant", max(rms), "mm",
                note=f"by instant {listed}")
     ]  # fmt: skip
-    if "translation" in one.name:
-        bias = [float(np.mean(_length(e + t) - _length(t))) for e, t in _instants(one)]
-        angle = [float(_angle(e + t, t).std()) for e, t in _instants(one)[1:]]
+    if "translation" in compared.name:
+        bias = [float(np.mean(_length(e + t) - _length(t))) for e, t in _instants(compared)]
+        angle = [float(_angle(e + t, t).std()) for e, t in _instants(compared)[1:]]
         figures += [
             Figure(FLOW, f"{title}: bias of the vertices' displacement, worst step",
                    1e3 * max(map(abs, bias)), "mm"),
@@ -107,17 +107,17 @@ def _own(one: _Compared) -> list[Figure]:
     return figures
 
 
-def _instants(one: _Compared) -> list[tuple[np.ndarray, np.ndarray]]:
-    return list(zip(one.theirs, one.truth, strict=True))
+def _instants(compared: _Compared) -> list[tuple[np.ndarray, np.ndarray]]:
+    return list(zip(compared.theirs, compared.truth, strict=True))
 
 
 def _length(vectors: np.ndarray) -> np.ndarray:
     return np.linalg.norm(vectors, axis=1)
 
 
-def _angle(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _angle(vectors: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Angle between rows [degrees]."""
-    cosine = (one * other).sum(axis=1) / (_length(one) * _length(other))
+    cosine = (vectors * other).sum(axis=1) / (_length(vectors) * _length(other))
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 

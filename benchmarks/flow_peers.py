@@ -44,17 +44,17 @@ def measure(options: Options) -> list[Figure]:
 def _tension(*, make: bool) -> Figure:
     """The real tension test by another stereo program, at DICe's points."""
     name = "beside it: al-dic-3d, real tension test, frames 1-5: median lateral difference from"
-    found = stereo_field(
+    field = stereo_field(
         TENSION / "cal_pyaldic.xml", f"{TENSION}/L/*.tif", f"{TENSION}/R/*.tif", TENSION_REGION,
         window=32, make=make,
     )  # fmt: skip
-    if isinstance(found, str):
-        return Figure(FLOW, f"{name} DICe, worst", None, "um", note=found)
-    pixel, point, moved = found
+    if isinstance(field, str):
+        return Figure(FLOW, f"{name} DICe, worst", None, "um", note=field)
+    pixel, point, moved = field
     lateral = []
-    for frame, one in enumerate(moved, start=1):
-        ok = np.isfinite(one).all(axis=1) & np.isfinite(point).all(axis=1)
-        apart = beside_dice(pixel[ok], point[ok], one[ok], frame=frame)
+    for frame, displacement in enumerate(moved, start=1):
+        ok = np.isfinite(displacement).all(axis=1) & np.isfinite(point).all(axis=1)
+        apart = beside_dice(pixel[ok], point[ok], displacement[ok], frame=frame)
         lateral.append(float(np.median(np.hypot(apart[:, 0], apart[:, 1]))))
     listed = ", ".join(f"{value:.2f}" for value in lateral)
     return Figure(
@@ -69,26 +69,26 @@ def _tension(*, make: bool) -> Figure:
 def _compared(
     engines: tuple[_Engine, ...], subset: int, *, speed: bool, make: bool
 ) -> list[Figure]:
-    found = speckle_rows(TOOL, [one.key for one in engines], subset=subset, make=make)
+    report = speckle_rows(TOOL, [peer.key for peer in engines], subset=subset, make=make)
     figures = []
     for engine in engines:
-        figures += _figures(engine, subset, found, speed=speed)
+        figures += _figures(engine, subset, report, speed=speed)
     return figures
 
 
-def _figures(engine: _Engine, subset: int, found: dict | str, *, speed: bool) -> list[Figure]:
+def _figures(engine: _Engine, subset: int, report: dict | str, *, speed: bool) -> list[Figure]:
     title = f"beside it: {engine.program} ({engine.method}), speckle, window {subset} px"
     error_name = f"{title}: rms per component, worst case"
-    if isinstance(found, str):
-        return [Figure(FLOW, error_name, None, "px", note=found)]
-    rows = [row for row in found["rows"] if row["engine"] == engine.key]
+    if isinstance(report, str):
+        return [Figure(FLOW, error_name, None, "px", note=report)]
+    rows = [row for row in report["rows"] if row["engine"] == engine.key]
     if stopped := [row["error"] for row in rows if "error" in row]:
         return [Figure(FLOW, error_name, None, "px", note=stopped[0])]
     rms = [row["rmse_px_inlier_per_component"] for row in rows]
-    each = ", ".join(f"{row['case']} {value:.4f}" for row, value in zip(rows, rms, strict=True))
+    listed = ", ".join(f"{row['case']} {value:.4f}" for row, value in zip(rows, rms, strict=True))
     beyond = max(row["outlier_pct"] for row in rows)
     note = (
-        f"version {found['versions'][engine.program]}; {each}; over the points that err by less"
+        f"version {report['versions'][engine.program]}; {listed}; over the points that err by less"
         f" than 0.5 px, {beyond:.2g} % err by more in the worst case;"
         f" {min(row['coverage_pct'] for row in rows):.3g} % of the grid covered"
     )

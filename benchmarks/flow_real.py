@@ -51,8 +51,8 @@ def _static() -> list[Figure]:
     coarse = JointFlow(subset=45, step=10, shape="shift", smoothing=0.0)
     flows = _followed(rig, grey, mask, stereo, coarse)
     others = [
-        "/".join(f"{value:.2f}" for value in _spread(_followed(rig, grey, mask, stereo, one)))
-        for one in (
+        "/".join(f"{value:.2f}" for value in _spread(_followed(rig, grey, mask, stereo, method)))
+        for method in (
             replace(coarse, subset=27),
             JointFlow(subset=27, step=10),
             JointFlow(subset=45, step=10),
@@ -98,7 +98,9 @@ def _tension() -> list[Figure]:
         beside_dice(f.pixel[ok], f.point[ok], f.displacement[ok], frame=k)
         for k, f, ok in ((k, flow, is_valid(flow)) for k, flow in enumerate(flows, 1))
     ]
-    lateral = [float(np.median(np.hypot(one[:, 0], one[:, 1]))) for one in apart]
+    lateral = [
+        float(np.median(np.hypot(difference[:, 0], difference[:, 1]))) for difference in apart
+    ]
     return [
         Figure(FLOW, "real tension test, frames 1-5: median lateral difference from DICe, worst",
                max(lateral), "um",
@@ -111,8 +113,8 @@ def _exodus_pixels(path) -> np.ndarray:
     """Pixels of DICe's points in the first picture."""
     with netcdf_file(path, mmap=False) as file:
         names = [b"".join(row).split(b"\0")[0].decode() for row in file.variables["name_nod_var"]]
-        place = [names.index(f"COORDINATE_{axis}") + 1 for axis in "XY"]
-        return np.stack([np.array(file.variables[f"vals_nod_var{k}"][0]) for k in place], axis=1)
+        index = [names.index(f"COORDINATE_{axis}") + 1 for axis in "XY"]
+        return np.stack([np.array(file.variables[f"vals_nod_var{k}"][0]) for k in index], axis=1)
 
 
 def beside_dice(
@@ -167,11 +169,12 @@ def _cylinder() -> list[Figure]:
         points = [np.array(file[key]).T - 1.0 for key in file["DIC2DpairResults/Points"][0]]
     boxes = [_box(np.concatenate(points[5 * c : 5 * c + 5])) for c in range(2)]
     cropped = replace(
-        rig, cameras=tuple(_crop(one, box) for one, box in zip(rig.cameras, boxes, strict=True))
+        rig,
+        cameras=tuple(_crop(camera, box) for camera, box in zip(rig.cameras, boxes, strict=True)),
     )
     parts = [
-        tuple(np.ascontiguousarray(g[box]) for g, box in zip(one, boxes, strict=True))
-        for one in grey
+        tuple(np.ascontiguousarray(g[box]) for g, box in zip(instant, boxes, strict=True))
+        for instant in grey
     ]
     flows = _followed(
         cropped, parts, mask[boxes[0]], StereoSettings(step=12, subset=43),

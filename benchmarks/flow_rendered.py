@@ -41,13 +41,13 @@ def measure(options: Options) -> list[Figure]:
     """All figures from rendered pictures."""
     joint = [_rigid(name) for name in RIGID]
     session = read_session(SHARED / "halfball_images")
-    found = measure_motion(session, pose="given")
-    ball, squares = _half_ball(session, found)
+    flow = measure_motion(session, pose="given")
+    ball, squares = _half_ball(session, flow)
     return [
         *_translations(joint),
         _rotation(joint[2]),
         *ball,
-        *_constants(session, found),
+        *_constants(session, flow),
         _sigmas(joint, squares),
         _cameras(),
     ]
@@ -57,10 +57,10 @@ def _rigid(name: str) -> Rigid:
     folder = SHARED / name
     truth = tomllib.loads((folder / "truth.toml").read_text(encoding="utf-8"))["step"]
     session = read_session(folder)
-    found = measure_motion(session, pose="given")
+    flow = measure_motion(session, pose="given")
     point = session.mesh.vertices
     errors, moves, squares = [], [], []
-    for motion, step in zip(found.motions, truth[1:], strict=True):
+    for motion, step in zip(flow.motions, truth[1:], strict=True):
         moved = point @ np.array(step["R"]).T + step["t"] - point
         error, square, ok = _errors(motion.vertices, moved)
         errors.append(error)
@@ -70,12 +70,12 @@ def _rigid(name: str) -> Rigid:
 
 
 def _errors(
-    found: VertexDisplacement, truth: np.ndarray
+    measured: VertexDisplacement, truth: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors, their squares in claimed sigmas (mean over three components), rows."""
-    ok = np.isfinite(found.displacement).all(axis=1) & np.isfinite(truth).all(axis=1)
-    error = (found.displacement - truth)[ok]
-    inverse = np.linalg.inv(found.covariance[ok])
+    ok = np.isfinite(measured.displacement).all(axis=1) & np.isfinite(truth).all(axis=1)
+    error = (measured.displacement - truth)[ok]
+    inverse = np.linalg.inv(measured.covariance[ok])
     return error, np.einsum("ni,nij,nj->n", error, inverse, error) / 3.0, ok
 
 
@@ -83,12 +83,12 @@ def _translations(joint: list[Rigid]) -> list[Figure]:
     bias, rms, angles = [], [], []
     for rigid in joint[:2]:
         for step, (error, truth) in enumerate(zip(rigid.error, rigid.truth, strict=True), start=1):
-            found = error + truth
-            length = np.linalg.norm(found, axis=1)
+            moved = error + truth
+            length = np.linalg.norm(moved, axis=1)
             bias.append(float((length - np.linalg.norm(truth, axis=1)).mean()))
             rms.append(float(np.sqrt((error**2).sum(axis=1).mean())))
             if step > 1:
-                cosine = (found * truth).sum(axis=1) / length / np.linalg.norm(truth, axis=1)
+                cosine = (moved * truth).sum(axis=1) / length / np.linalg.norm(truth, axis=1)
                 angles.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).std()))
     note = f"{len(joint[0].error[0])} vertices a step, eight steps of 2.5 mm along x and along y"
     return [
@@ -109,12 +109,12 @@ def _rotation(rigid: Rigid) -> Figure:
     )  # fmt: skip
 
 
-def _half_ball(session: Session, found: SessionFlow) -> tuple[list[Figure], list[np.ndarray]]:
+def _half_ball(session: Session, flow: SessionFlow) -> tuple[list[Figure], list[np.ndarray]]:
     """Errors per point of the reference camera outside occlusion, and of vertices in sigmas."""
-    camera = found.rig.cameras[found.rig.reference]
+    camera = flow.rig.cameras[flow.rig.reference]
     turn = camera.T_camera_object[:3, :3]
     squares, errors, seen, valid = [], [], 0, 0
-    for motion in found.motions:
+    for motion in flow.motions:
         if motion.name not in MAPPED:
             continue
         truth = np.load(SHARED / "halfball_images" / f"truth_{motion.name}.npz")
@@ -149,9 +149,9 @@ def _truth_at(truth: np.lib.npyio.NpzFile, point: np.ndarray) -> np.ndarray:
     return moved
 
 
-def _constants(session: Session, found: SessionFlow) -> list[Figure]:
+def _constants(session: Session, flow: SessionFlow) -> list[Figure]:
     truth = tomllib.loads((session.path.parent / "truth.toml").read_text(encoding="utf-8"))
-    estimate = fit_session(with_measured_displacement(session, found)).estimate
+    estimate = fit_session(with_measured_displacement(session, flow)).estimate
     e, nu = estimate.young_modulus, estimate.poisson_ratio
     return [
         Figure(FLOW, "half ball from pictures, 17 probings: error of E",
@@ -168,11 +168,11 @@ def _constants(session: Session, found: SessionFlow) -> list[Figure]:
 def _sigmas(joint: list[Rigid], ball: list[np.ndarray]) -> Figure:
     sets = {rigid.name: np.concatenate(rigid.square) for rigid in joint}
     sets["halfball_images"] = np.concatenate(ball)
-    each = ", ".join(f"{name} {np.sqrt(value.mean()):.2f}" for name, value in sets.items())
+    listed = ", ".join(f"{name} {np.sqrt(value.mean()):.2f}" for name, value in sets.items())
     pooled = float(np.sqrt(np.concatenate(list(sets.values())).mean()))
     return Figure(
         FLOW, "actual over claimed sigma per vertex, all rendered sets", pooled, "x",
-        note=f"rms of the error in claimed sigmas; {each}",
+        note=f"rms of the error in claimed sigmas; {listed}",
     )  # fmt: skip
 
 
@@ -188,17 +188,20 @@ def _cameras() -> Figure:
             for step in session.steps[:4]
         ]
         method = JointFlow()
-        state, found = method.start(part, grey[0], session.mesh), []
+        state, displacements = method.start(part, grey[0], session.mesh), []
         for pictures in grey[1:]:
             state, flow = method.follow(state, pictures)
-            found.append(method.vertices(flow, part, session.mesh))
+            displacements.append(method.vertices(flow, part, session.mesh))
         error[chosen] = np.stack(
-            [motion.displacement - [0.0025 * k, 0, 0] for k, motion in enumerate(found, start=1)]
+            [
+                motion.displacement - [0.0025 * k, 0, 0]
+                for k, motion in enumerate(displacements, start=1)
+            ]
         )
         sigma[chosen] = np.stack(
-            [np.trace(motion.covariance, axis1=1, axis2=2) for motion in found]
+            [np.trace(motion.covariance, axis1=1, axis2=2) for motion in displacements]
         )
-    common = np.all([np.isfinite(each).all(axis=2) for each in error.values()], axis=0)
+    common = np.all([np.isfinite(errors).all(axis=2) for errors in error.values()], axis=0)
     rms = {c: float(np.sqrt((e[common] ** 2).sum(axis=1).mean())) for c, e in error.items()}
     claim = {c: float(np.sqrt(s[common].mean())) for c, s in sigma.items()}
     pair = min(((0, 1), (0, 2)), key=rms.__getitem__)

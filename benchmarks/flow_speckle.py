@@ -60,10 +60,10 @@ def _errors(folder: Path, subset: int) -> list[Figure]:
         share = min(share, float(flow.valid.mean()))
         inverse = np.linalg.inv(flow.covariance[flow.valid])
         claimed.append(float(np.einsum("ni,nij,nj->n", error, inverse, error).mean() / 2))
-    each = ", ".join(f"{name} {value:.4f}" for name, value in rms.items())
+    listed = ", ".join(f"{name} {value:.4f}" for name, value in rms.items())
     title = f"analytic speckle, noise 1.5, window {subset} px"
     note = (
-        f"no seed; {each}; actual over claimed sigma {np.sqrt(np.mean(claimed)):.2f};"
+        f"no seed; {listed}; actual over claimed sigma {np.sqrt(np.mean(claimed)):.2f};"
         " al-dic 0.008 to 0.010, pyvale 0.007 with 21 px"
     )
     return [

@@ -24,13 +24,13 @@ NAMES = ("n01", "n02", "n03", "n04")
 
 def measure(options: Options) -> list[Figure]:
     """Frames per second of 640 x 480 x 3, some two thousand points, all cores, warm."""
-    found = _followed(JointFlow())
+    followed = _followed(JointFlow())
     return [
         Figure(
-            FLOW, "640 x 480 x 3 cameras, one instant, warm", 1.0 / found.seconds, "1/s",
-            note=f"{len(found.flow.point)} points in the reference camera, {found.vertices}"
+            FLOW, "640 x 480 x 3 cameras, one instant, warm", 1.0 / followed.seconds, "1/s",
+            note=f"{len(followed.flow.point)} points in the reference camera, {followed.vertices}"
             " vertices measured; dense start, refinement with retries, judgement and vertices; best"
-            f" of three, the first left aside; {found.parts.described()}",
+            f" of three, the first left aside; {followed.parts.described()}",
         ),
     ]  # fmt: skip
 
@@ -61,11 +61,11 @@ def _followed(method: JointFlow) -> Followed:
     for pictures in grey[1:]:
         begun = time.perf_counter()
         _, ranges = method.follow(state, pictures)
-        found = method.vertices(ranges, rig, session.mesh)
+        displacement = method.vertices(ranges, rig, session.mesh)
         seconds.append(time.perf_counter() - begun)
     with timed_parts() as parts:
         method.follow(state, grey[-1])
-    measured = int(np.isfinite(found.displacement[:, 0]).sum())
+    measured = int(np.isfinite(displacement.displacement[:, 0]).sum())
     return Followed(float(np.min(seconds[1:])), parts, ranges, measured)
 
 
@@ -104,18 +104,18 @@ def timed_parts() -> Iterator[Parts]:
 
     def refined(scene, rows, moved, start, cameras, noise, limits):
         begun = time.perf_counter()
-        found = refine(scene, rows, moved, start, cameras, noise, limits)
+        matches = refine(scene, rows, moved, start, cameras, noise, limits)
         parts.refinement += time.perf_counter() - begun
         windows = cameras[np.isfinite(start).all(axis=(1, 2))].sum()
         parts.grey_levels += int(windows) * (2 * limits.half + 1) ** 2
         parts.calls += 1
-        return found
+        return matches
 
     def searched(first, second):
         begun = time.perf_counter()
-        found = search(first, second)
+        start = search(first, second)
         parts.dense_start += time.perf_counter() - begun
-        return found
+        return start
 
     with (
         patch.object(flow, "dense_start", searched),

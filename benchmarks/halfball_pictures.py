@@ -40,7 +40,8 @@ def half_ball_bench(seed: int) -> LabConfig:
     young = float(np.exp(rng.uniform(*np.log(YOUNG))))
     share = young / config.material.young_modulus
     probes = tuple(
-        one if one.force is None else replace(one, force=share * one.force) for one in config.probes
+        probe if probe.force is None else replace(probe, force=share * probe.force)
+        for probe in config.probes
     )
     material = replace(
         config.material, young_modulus=young, poisson_ratio=float(rng.uniform(*RATIOS))
@@ -72,13 +73,14 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as name:
             make_session(config, Path(name), variant=choose_variant())
             estimate = fitted_pictures(Path(name))
-        one, other = estimate.young_modulus, estimate.poisson_ratio
-        errors.append([100.0 * (one.value / young - 1.0), other.value - ratio])
+        young_modulus, poisson_ratio = estimate.young_modulus, estimate.poisson_ratio
+        errors.append([100.0 * (young_modulus.value / young - 1.0), poisson_ratio.value - ratio])
         truth = dict(zip(NAMES, (ratio, young / (2.0 * (1.0 + ratio)), young), strict=True))
         holding.append(held(estimate, truth))
         print(
-            f"seed {seed:2d} E {errors[-1][0]:+6.2f} % (+- {100.0 * one.std / young:5.2f})   nu"
-            f" {ratio:.3f} {errors[-1][1]:+.4f} (+- {other.std:.4f})   {estimate.status}",
+            f"seed {seed:2d} E {errors[-1][0]:+6.2f} % (+-"
+            f" {100.0 * young_modulus.std / young:5.2f})   nu {ratio:.3f} {errors[-1][1]:+.4f} (+-"
+            f" {poisson_ratio.std:.4f})   {estimate.status}",
             flush=True,
         )
     mean, error = np.mean(errors, axis=0), np.std(errors, axis=0, ddof=1) / np.sqrt(count)

@@ -28,5 +28,5 @@ def deviation(push: dict[str, Any], moved: Float[np.ndarray, "k 3"]) -> float:
     moved : (k, 3) float [m]        displacement of its `point_nodes` under the whole force
     """
     wanted = np.array(push["displacement"])
-    found = np.array(push["point_shares"]) @ moved
-    return 100 * float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+    displacement = np.array(push["point_shares"]) @ moved
+    return 100 * float(np.linalg.norm(displacement - wanted) / np.linalg.norm(wanted))

@@ -177,12 +177,12 @@ def pushes(mesh: TriangleMesh, shape: Shape, count: int, seed: int) -> list[tupl
     while len(chosen) < count:
         away = np.minimum(away, np.linalg.norm(mesh.vertices - mesh.vertices[chosen[-1]], axis=1))
         chosen.append(int(free[away[free].argmax()]))
-    order, found = rng.permutation(chosen), []
+    order, places = rng.permutation(chosen), []
     for vertex in order:
         inward = -normals[(mesh.triangles == vertex).any(axis=1)].mean(axis=0)
         force = inward / np.linalg.norm(inward) + 0.4 * rng.normal(size=3)
-        found.append((mesh.vertices[vertex], force / np.linalg.norm(force)))
-    return found
+        places.append((mesh.vertices[vertex], force / np.linalg.norm(force)))
+    return places
 
 
 def true_motion(
@@ -222,7 +222,7 @@ def true_motion(
 
 def session(name: str, kind: str, folder: Path, seed: int, wrong: int | None = None) -> Session:
     """Ten pushes as cameras from one side see them, six known exactly and everywhere; or, `wrong`
-    the seed of draws, all told wrong by as much as a session says they may be."""
+    the seed of draws, all wrong by as much as a session says they may be."""
     shape = BODIES[name]
     mesh = shape.make(shape.edge)
     at = pushes(mesh, shape, FITTED + PREDICTED, seed)
@@ -244,7 +244,7 @@ def session(name: str, kind: str, folder: Path, seed: int, wrong: int | None = N
             here = here[np.linalg.norm(mesh.vertices[here] - point, axis=1) > 1.3 * RADIUS]
         field = size * moved[here] + fitted * np.array(NOISE) * rng.normal(size=(len(here), 3))
         points = mesh.vertices[here]
-        told = closest_points(mesh, points)
+        surface = closest_points(mesh, points)
         std = np.tile(NOISE, (len(here), 1))
         off = FORCE * rng.normal() if fitted and wrong is None else 0.0
         measured = size * force * (1.0 + off)
@@ -252,17 +252,17 @@ def session(name: str, kind: str, folder: Path, seed: int, wrong: int | None = N
             Probing(
                 f"n{k + 1:02d}", Contact(point, RADIUS, "smooth"), measured,
                 np.full(3, FORCE * size / np.sqrt(3)), None, None,
-                DisplacementField(points, field, std, None, told, "truth"), None,
+                DisplacementField(points, field, std, None, surface, "truth"), None,
             )
         )  # fmt: skip
     whole = Session(
         name, Path(), mesh, held, tuple(probings), None, None, None, (), errors=ErrorPriors(),
         regions=regions_of(mesh, kind) if kind in REGIONS else (),
     )  # fmt: skip
-    return whole if wrong is None else told_wrong(whole, wrong)
+    return whole if wrong is None else with_errors(whole, wrong)
 
 
-def told_wrong(exact: Session, seed: int) -> Session:
+def with_errors(exact: Session, seed: int) -> Session:
     """A session wrong by draws from its priors: gauge, places, radii, pose, lengths."""
     priors, rng, mesh = exact.errors, np.random.default_rng(seed), exact.mesh
     gain, gauge, turn, shift, scale = drawn_errors(priors, rng)
@@ -273,7 +273,7 @@ def told_wrong(exact: Session, seed: int) -> Session:
         inward = -unit_normals(mesh)[closest_points(mesh, contact.point[None]).triangle[0]]
         beside = priors.contact_point * rng.normal(size=3)
         beside -= beside @ inward * inward
-        place = closest_points(mesh, (contact.point + beside)[None]).position[0]
+        point = closest_points(mesh, (contact.point + beside)[None]).position[0]
         radius = RADIUS * (1.0 + priors.contact_radius * float(np.clip(rng.normal(), -2.5, 2.5)))
         points = (field.points - centre) @ turn.as_matrix().T + centre + shift
         seen = closest_points(mesh, points)
@@ -282,7 +282,7 @@ def told_wrong(exact: Session, seed: int) -> Session:
             displacement=scale * (field.displacement @ turn.as_matrix().T),
         )  # fmt: skip
         force = gain * (gauge.as_matrix() @ probing.force) + probing.force_std * rng.normal(size=3)
-        wrong = replace(contact, point=place, radius=radius)
+        wrong = replace(contact, point=point, radius=radius)
         probings.append(replace(probing, contact=wrong, force=force, displacement=moved))
     return replace(exact, probings=tuple(probings))
 
@@ -291,15 +291,15 @@ def errors(session: Session, predictions: tuple[Prediction, ...]) -> np.ndarray:
     """Relative error away from the tool and under it, and the share within 95 %, of each push."""
     rows = []
     of = {probing.name: probing for probing in session.probings}
-    for each in predictions:
-        contact = of[each.name].contact
-        distance = np.linalg.norm(each.position - contact.point, axis=1)
-        off = each.predicted - each.measured
+    for prediction in predictions:
+        contact = of[prediction.name].contact
+        distance = np.linalg.norm(prediction.position - contact.point, axis=1)
+        off = prediction.predicted - prediction.measured
         row = []
         for chosen in (distance > 1.3 * RADIUS, distance <= RADIUS):
-            size = np.square(each.measured[chosen]).sum()
+            size = np.square(prediction.measured[chosen]).sum()
             row.append(np.sqrt(np.square(off[chosen]).sum() / size) if size else np.nan)
-        rows.append([*row, float((np.abs(off) < 1.96 * each.std).mean())])
+        rows.append([*row, float((np.abs(off) < 1.96 * prediction.std).mean())])
     return np.array(rows)
 
 

@@ -44,31 +44,31 @@ class Wrong:
     name : str
     turn, shift : float [rad], [m]  standard deviations, of every camera but the first
     focal : float                   of every focal length, relative
-    told : bool                     whether its covariance lies beside it
+    has_covariance : bool           whether its covariance lies beside it
     """
 
     name: str
     turn: float
     shift: float
     focal: float
-    told: bool
+    has_covariance: bool
 
 
 KINDS = (
     Wrong("moved cameras", np.deg2rad(0.1), 3e-4, 0.0, False),
     Wrong("moved a little", np.deg2rad(0.01), 3e-5, 0.0, False),
     Wrong("as calibrated", np.deg2rad(0.01), 3e-5, 3e-4, True),
-    Wrong("right, nothing told", 0.0, 0.0, 0.0, False),
+    Wrong("right, no covariance", 0.0, 0.0, 0.0, False),
 )
 
 
 def off(rig: Rig, truth: Rig, points: Points) -> float:
     """What a rig leaves of points that it sees as the true one does, rms [m]."""
     pixels = np.stack([project(camera, points) for camera in truth.cameras])
-    found = triangulate(rig, pixels, 1.0).point
-    centre, middle = points.mean(axis=0), found.mean(axis=0)
-    turn, _ = Rotation.align_vectors(points - centre, found - middle)
-    rest = points - centre - turn.apply(found - middle)
+    triangulated = triangulate(rig, pixels, 1.0).point
+    centre, middle = points.mean(axis=0), triangulated.mean(axis=0)
+    turn, _ = Rotation.align_vectors(points - centre, triangulated - middle)
+    rest = points - centre - turn.apply(triangulated - middle)
     return float(np.sqrt((rest**2).sum(axis=1).mean()))
 
 
@@ -84,8 +84,8 @@ def seen_by_all(rig: Rig, mesh: TriangleMesh) -> Points:
     """Points of the surface that the first camera sees, thinned."""
     camera = rig.cameras[0]
     columns, rows = camera.size or (640, 480)
-    found = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
-    return found.point[found.triangle >= 0][::50]
+    surface = surface_map(camera, (rows, columns), mesh.vertices, mesh.triangles)
+    return surface.point[surface.triangle >= 0][::50]
 
 
 def wrong_rig(truth: Rig, kind: Wrong, seed: int) -> tuple[Rig, RigCovariance | None]:
@@ -99,7 +99,7 @@ def wrong_rig(truth: Rig, kind: Wrong, seed: int) -> tuple[Rig, RigCovariance | 
         names += [f"{camera.name}.{term}" for term in _TERMS]
         sigma += [kind.turn] * 3 + [kind.shift] * 3
     rig = moved_rig(truth, names, np.array(sigma) * rng.normal(size=len(sigma)))
-    if not kind.told:
+    if not kind.has_covariance:
         return rig, None
     value = calibration_numbers(rig.cameras, names)
     return rig, RigCovariance(tuple(names), value, np.diag(np.square(sigma)), "calibration")
@@ -107,11 +107,11 @@ def wrong_rig(truth: Rig, kind: Wrong, seed: int) -> tuple[Rig, RigCovariance | 
 
 def kind_figures(folder: Path, kind: Wrong, draws: int) -> list[Figure]:
     """What refining makes of rigs that are wrong in one way."""
-    place = turntable(folder, "toy")
-    truth = read_rig(place / "rig.toml")
+    root = turntable(folder, "toy")
+    truth = read_rig(root / "rig.toml")
     mesh = SHAPES["toy"].make(radius=RADIUS["toy"], edge=_EDGE)
     points, centre = seen_by_all(truth, mesh), mesh.vertices.mean(axis=0)
-    instants = [str(place / f"images/s{k}_{{camera}}.png") for k in range(_VIEWS)]
+    instants = [str(root / f"images/s{k}_{{camera}}.png") for k in range(_VIEWS)]
     rows, worse, taken, seconds = [], 0, 0, 0.0
     for seed in range(draws if kind.turn else 1):
         rig, known = wrong_rig(truth, kind, seed)
@@ -139,7 +139,7 @@ def measure(options: Options) -> list[Figure]:
     """Rigs that are wrong in all ways."""
     kinds = KINDS[:1] if options.quick else KINDS
     draws = 1 if options.quick else _DRAWS
-    return [one for kind in kinds for one in kind_figures(MADE / "turntables", kind, draws)]
+    return [figure for kind in kinds for figure in kind_figures(MADE / "turntables", kind, draws)]
 
 
 def main() -> None:

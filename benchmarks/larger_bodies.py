@@ -80,16 +80,16 @@ def patches(mesh: TriangleMesh) -> list[np.ndarray]:
     """Triangles within 6 mm of three places."""
     middle = mesh.vertices[mesh.triangles].mean(axis=1)
     at = closest_points(mesh, SCALE * PLACES).position
-    return [np.flatnonzero(np.linalg.norm(middle - one, axis=1) < 0.006) for one in at]
+    return [np.flatnonzero(np.linalg.norm(middle - centre, axis=1) < 0.006) for centre in at]
 
 
 def measured(way: str, frequency: int, folder: Path) -> dict[str, Any]:
     """Time, memory and solutions of nine right-hand sides at one Poisson's ratio."""
     _solved(way, 9)
     clock = _clock()
-    system, right, found = _solved(way, frequency)
+    system, right, solved = _solved(way, frequency)
     times, peak = clock(), peak_memory()
-    solutions = [found[0]]
+    solutions = [solved[0]]
     if frequency <= LARGEST_DENSE:
         solutions.append(_solution(system, right, NEAR_HALF)[0])
     free = 3 * system.unknowns.free_vertices.size
@@ -99,7 +99,7 @@ def measured(way: str, frequency: int, folder: Path) -> dict[str, Any]:
         "vertices": len(system.surface.mesh.vertices),
         "times": times,
         "memory": peak,
-        "iterations": found[1],
+        "iterations": solved[1],
         "product": _product_time(system),
         "bytes": _parts(system),
     }
@@ -116,8 +116,8 @@ def _solved(way: str, frequency: int) -> tuple[BoundarySystem, RightHand, tuple[
 
 def _solution(system: BoundarySystem, right: RightHand, nu: float) -> tuple[np.ndarray, int]:
     if isinstance(system, CompressedSystem):
-        found = solve_compressed(cluster_inverse(system, nu), right.at(nu), tolerance=1e-8)
-        return found.solution, found.iterations
+        solution = solve_compressed(cluster_inverse(system, nu), right.at(nu), tolerance=1e-8)
+        return solution.solution, solution.iterations
     return solve(factorise(system, nu), right.at(nu)), 0
 
 
@@ -140,9 +140,9 @@ def _parts(system: BoundarySystem) -> dict[str, int]:
         return {"matrix": 8 * system.size**2}
     near, far = system.operator.near, system.operator.far
     return {
-        "near": sum(_kernel_bytes(one) for one in near),
-        "far": sum(_kernel_bytes(one) for one in far.moments.values())
-        + sum(one.nbytes for one in far.interpolation),
+        "near": sum(_kernel_bytes(block) for block in near),
+        "far": sum(_kernel_bytes(moments) for moments in far.moments.values())
+        + sum(matrix.nbytes for matrix in far.interpolation),
     }
 
 
@@ -156,14 +156,14 @@ def grow(folder: Path, frequencies: list[int]) -> None:
     """Measure what is not measured yet, and print all of it."""
     for frequency in frequencies:
         for way in ("dense", "compressed") if frequency <= LARGEST_DENSE else ("compressed",):
-            kept = folder / f"{way}-{frequency}.json"
-            if not kept.exists():
+            file = folder / f"{way}-{frequency}.json"
+            if not file.exists():
                 subprocess.run(
                     [sys.executable, "-m", "benchmarks.larger_bodies", "one", str(folder), way,
                      str(frequency)],
                     cwd=ROOT, check=True,
                 )  # fmt: skip
-            print(_line(json.loads(kept.read_text()), folder, frequency), flush=True)
+            print(_line(json.loads(file.read_text()), folder, frequency), flush=True)
     for way, key in (("compressed", "times"), ("compressed", "memory")):
         sizes, values = _series(folder, way, key)
         if (sizes > 1e4).sum() > 1:
@@ -172,13 +172,13 @@ def grow(folder: Path, frequencies: list[int]) -> None:
             print(f"{way}, {key}: grows with the power {exponent:.2f} past 10 000 vertices")
 
 
-def _line(found: dict[str, Any], folder: Path, frequency: int) -> str:
+def _line(row: dict[str, Any], folder: Path, frequency: int) -> str:
     text = (
-        f"{found['vertices']:6d} {found['way']:10s} {found['times'][0]:7.1f} s of the clock,"
-        f" {found['times'][1]:7.1f} s of processors, {found['memory'] / 1e9:5.2f} GB"
+        f"{row['vertices']:6d} {row['way']:10s} {row['times'][0]:7.1f} s of the clock,"
+        f" {row['times'][1]:7.1f} s of processors, {row['memory'] / 1e9:5.2f} GB"
     )
-    if found["iterations"]:
-        text += f", {found['iterations']} iterations, product with 24 {found['product']:.2f} s"
+    if row["iterations"]:
+        text += f", {row['iterations']} iterations, product with 24 {row['product']:.2f} s"
         both = [folder / f"{way}-{frequency}.npy" for way in ("dense", "compressed")]
         if all(path.exists() for path in both):
             dense, compressed = (np.load(path) for path in both)
@@ -189,10 +189,10 @@ def _line(found: dict[str, Any], folder: Path, frequency: int) -> str:
 
 def _series(folder: Path, way: str, key: str) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and one figure of all sizes that were measured; of times those of processors."""
-    found = [json.loads(path.read_text()) for path in folder.glob(f"{way}-*.json")]
-    found.sort(key=lambda one: one["vertices"])
-    values = [one[key] if key == "memory" else one[key][1] for one in found]
-    return np.array([one["vertices"] for one in found]), np.array(values, dtype=float)
+    rows = [json.loads(path.read_text()) for path in folder.glob(f"{way}-*.json")]
+    rows.sort(key=lambda row: row["vertices"])
+    values = [row[key] if key == "memory" else row[key][1] for row in rows]
+    return np.array([row["vertices"] for row in rows]), np.array(values, dtype=float)
 
 
 def fit(folder: Path, frequency: int) -> None:
@@ -200,18 +200,18 @@ def fit(folder: Path, frequency: int) -> None:
     mesh = body(frequency)
     fields = _fields_on(mesh)
     clock = _clock()
-    found = fit_session(_session(mesh, fields)).estimate
+    estimate = fit_session(_session(mesh, fields)).estimate
     wall, processors = clock()
     first = (
-        f"{len(mesh.vertices)} vertices ({found.settings['vertices']}), 3 probings, status"
-        f" {found.status}: {wall / 60:.1f} min of the clock, {processors / 60:.1f} min of"
+        f"{len(mesh.vertices)} vertices ({estimate.settings['vertices']}), 3 probings, status"
+        f" {estimate.status}: {wall / 60:.1f} min of the clock, {processors / 60:.1f} min of"
         f" processors, {peak_memory() / 1e9:.2f} GB"
     )
     lines = [first]
     for name, true in (("shear_modulus", SHEAR_MODULUS), ("poisson_ratio", POISSON_RATIO)):
-        value = getattr(found, name)
+        value = getattr(estimate, name)
         lines.append(f"  {name} {value.value:.9g} +- {value.std:.6g}, true {true:g}")
-    lines.append(f"  seconds {found.seconds}")
+    lines.append(f"  seconds {estimate.seconds}")
     print("\n".join(lines))
     (folder / f"fit-{len(mesh.vertices)}.txt").write_text("\n".join(lines) + "\n")
 
@@ -225,22 +225,22 @@ def _fields_on(mesh: TriangleMesh) -> list[DisplacementField]:
         model.system, shear_modulus=SHEAR_MODULUS, poisson_ratio=POISSON_RATIO
     )
     loads = [surface_load(patch) for patch in model.loads.patches.values()]
-    states = elastic.respond(loads, np.array([one.force for one in silent.probings]))
+    states = elastic.respond(loads, np.array([probing.force for probing in silent.probings]))
     rng = np.random.default_rng(0)
     return [
-        _observed(source, mesh, one.contact.point, state.displacement, rng)
-        for one, state in zip(silent.probings, states, strict=True)
+        _observed(source, mesh, probing.contact.point, state.displacement, rng)
+        for probing, state in zip(silent.probings, states, strict=True)
     ]
 
 
 def _session(mesh: TriangleMesh, fields: Sequence[DisplacementField | None]) -> Session:
     """Pressed inward by half a newton at three places."""
     probings = []
-    for k, place in enumerate(closest_points(mesh, SCALE * PLACES).position):
-        force = -0.5 * place / np.linalg.norm(place)
+    for k, point in enumerate(closest_points(mesh, SCALE * PLACES).position):
+        force = -0.5 * point / np.linalg.norm(point)
         probings.append(
             Probing(
-                name=f"n{k + 1}", contact=Contact(place, CONTACT_RADIUS, "smooth"), force=force,
+                name=f"n{k + 1}", contact=Contact(point, CONTACT_RADIUS, "smooth"), force=force,
                 force_std=None, tip_displacement=None, tip_displacement_std=None,
                 displacement=fields[k], images=None,
             )
@@ -313,10 +313,10 @@ def main() -> None:
     task, folder, rest = sys.argv[1], Path(sys.argv[2]), sys.argv[3:]
     folder.mkdir(parents=True, exist_ok=True)
     if task == "grow":
-        grow(folder, [int(one) for one in rest] or list(SIZES))
+        grow(folder, [int(argument) for argument in rest] or list(SIZES))
     elif task == "one":
-        found = measured(rest[0], int(rest[1]), folder)
-        (folder / f"{rest[0]}-{rest[1]}.json").write_text(json.dumps(found))
+        row = measured(rest[0], int(rest[1]), folder)
+        (folder / f"{rest[0]}-{rest[1]}.json").write_text(json.dumps(row))
     elif task == "fit":
         if rest[1:]:
             # By itself, size decides; the body whose displacements are fitted stays compressed.

@@ -112,7 +112,7 @@ def _dis_seconds(first: tuple[np.ndarray, ...], second: tuple[np.ndarray, ...]) 
 
 def _constants_figure() -> Figure:
     """A fit after the third push on the demo's half ball, its factors kept from before."""
-    kept, seconds = Memory(), []
+    memory, seconds = Memory(), []
     with tempfile.TemporaryDirectory() as folder:
         demo = read_lab_config(built_in()["demo"])
         make_session(demo, Path(folder), variant=choose_variant())
@@ -120,7 +120,7 @@ def _constants_figure() -> Figure:
         for count in (1, 2, 3):
             given = replace(session, probings=session.probings[:count])
             begun = time.perf_counter()
-            fit_session(given, cache=kept, material=Material.AUTO)
+            fit_session(given, cache=memory, material=Material.AUTO)
             seconds.append(time.perf_counter() - begun)
     rig = read_rig(FOLDER / "rig.toml")
     patterns = [f"images/{name}_{{camera}}.png" for name in ("rest", NAMES[0])]
@@ -174,11 +174,11 @@ def _hour_figures() -> list[Figure]:
 
     with tempfile.TemporaryDirectory() as folder:
         measure_live(read_bench("virtual"), Watching(), Path(folder), pushes=_MOST)
-    each = (disk[-1] - disk[0]) / (_MOST - 1)
+    growth = (disk[-1] - disk[0]) / (_MOST - 1)
     return [
         Figure(
-            LIVE, "an hour's session, disk", (disk[-1] + (_HOUR - _MOST) * each) / 1e9, "GB",
-            note=f"{_HOUR} pushes, one in {3600 // _HOUR} s, of {each / 1e6:.2f} MB each",
+            LIVE, "an hour's session, disk", (disk[-1] + (_HOUR - _MOST) * growth) / 1e9, "GB",
+            note=f"{_HOUR} pushes, one in {3600 // _HOUR} s, of {growth / 1e6:.2f} MB each",
         ),
         Figure(
             LIVE, f"live session of {_MOST} pushes, largest resident memory", peak_memory() / 1e9,

@@ -124,13 +124,13 @@ def measure_films() -> list[Figure]:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             live, films = _both(virtual_bench(replace(config, seed=seed)), folder)
-        errors.append([_off(one, config.material) for one in (live, films)])
+        errors.append([_off(estimate, config.material) for estimate in (live, films)])
         print(errors[-1], flush=True)
     off = np.array(errors)
     figures = []
     for k, (short, factor, unit) in enumerate((("E", 100.0, " %"), ("nu", 1.0, ""))):
         ours, theirs = factor * off[:, 0, k], factor * off[:, 1, k]
-        listed = ("; ".join(f"{x:+.2g}" for x in each) for each in (ours, theirs))
+        listed = ("; ".join(f"{x:+.2g}" for x in values) for values in (ours, theirs))
         both = "{}{unit} live, {}{unit} recorded".format(*listed, unit=unit)
         apart = float(np.sqrt(np.mean((ours - theirs) ** 2)))
         note = f"{_DRAWS} draws of {_PUSHES} pushes, off by {both}; apart by {apart:.2g}{unit} rms"
@@ -148,7 +148,7 @@ def _off(estimate: Estimate, material: Truth) -> tuple[float, float]:
 
 def _both(bench: Bench, folder: Path) -> tuple[Estimate, Estimate]:
     """The constants of a live session, and of its films."""
-    cameras = tuple(_Filmed(one, folder / "films" / one.name) for one in bench.cameras)
+    cameras = tuple(_Filmed(camera, folder / "films" / camera.name) for camera in bench.cameras)
     person = Counting()
     gauge = _Logged(bench.force, person)
     live = folder / "live"
@@ -158,8 +158,8 @@ def _both(bench: Bench, folder: Path) -> tuple[Estimate, Estimate]:
     if estimate is None:
         raise RuntimeError("nothing was measured")
     files = folder / "films"
-    for each in cameras:
-        np.savetxt(files / f"{each.name}.csv", each.times, header="time [s]", comments="")
+    for camera in cameras:
+        np.savetxt(files / f"{camera.name}.csv", camera.times, header="time [s]", comments="")
     np.savetxt(
         files / "force.csv", gauge.rows, delimiter=",", comments="",
         header="time [s],fx [N],fy [N],fz [N]",
@@ -171,9 +171,9 @@ def _both(bench: Bench, folder: Path) -> tuple[Estimate, Estimate]:
         "force": {"file": "force.csv", "axes": np.eye(3).tolist(), "sign": "on object"},
         "contact": {**(bench.contact or {}), "points": [x.tolist() for x, _ in person.places]},
         "camera": [
-            {"name": one.name, "pictures": f"{one.name}/*.png", "times": f"{one.name}.csv",
+            {"name": camera.name, "pictures": f"{camera.name}/*.png", "times": f"{camera.name}.csv",
              "offset": 0.0}
-            for one in cameras
+            for camera in cameras
         ],
     }  # fmt: skip
     write_text(files / "recording.toml", tomlkit.dumps(content))

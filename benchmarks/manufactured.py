@@ -175,13 +175,13 @@ def solved(
     system = boundary_system(surface, quadrature=quadrature)
     known = field.displacement(surface.mesh.vertices)
     free = np.flatnonzero(~surface.held)
-    place = surface.element_nodes[free].reshape(-1, 3)
-    given = field.traction(place, normals(np.repeat(free, 6), place)).reshape(-1, 6, 3)
+    position = surface.element_nodes[free].reshape(-1, 3)
+    given = field.traction(position, normals(np.repeat(free, 6), position)).reshape(-1, 6, 3)
     right = traction_column(system, free, given / field.shear_modulus, quadrature=quadrature)
     right = right + support_columns(system, known[:, :, None])
     nu = field.poisson_ratio
-    found = solve(factorise(system, nu), right.at(nu))[:, 0]
-    state = sorted_state(system, found, field.shear_modulus)
+    solution = solve(factorise(system, nu), right.at(nu))[:, 0]
+    state = sorted_state(system, solution, field.shear_modulus)
     vertices, sides = system.unknowns.free_vertices, system.unknowns.held_sides
     of_side = np.zeros(surface.traction.n_nodes, dtype=np.int64)
     of_side[surface.sides.corner.ravel()] = np.repeat(np.arange(surface.held.size), 3)

@@ -35,9 +35,9 @@ def _box(
             for i, j in np.ndindex(cells[first], cells[second]):
                 corner = []
                 for p, q in ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)):
-                    place = [side * cells[axis]] * 3
-                    place[first], place[second] = p, q
-                    corner.append(number.setdefault(tuple(place), len(number)))
+                    node = [side * cells[axis]] * 3
+                    node[first], node[second] = p, q
+                    corner.append(number.setdefault(tuple(node), len(number)))
                 a, b, c, d = corner
                 cut = [[a, b, c], [a, c, d]] if (i + j) % 2 == 0 else [[a, b, d], [b, c, d]]
                 triangles += cut if side else [triangle[::-1] for triangle in cut]
@@ -80,11 +80,11 @@ def geodesic(frequency: int) -> TriangleMesh:
     cut = np.array(up + down)
     points = np.einsum("pk,fki->fpi", weights, corners.vertices[corners.triangles])
     # Faces share the points of their edges.
-    _, first, place = np.unique(
+    _, first, vertex_of = np.unique(
         np.round(points.reshape(-1, 3), 9), axis=0, return_index=True, return_inverse=True
     )
     vertices = points.reshape(-1, 3)[first]
-    triangles = place.reshape(len(points), -1)[:, cut].reshape(-1, 3)
+    triangles = vertex_of.reshape(len(points), -1)[:, cut].reshape(-1, 3)
     return TriangleMesh(vertices / np.linalg.norm(vertices, axis=1, keepdims=True), triangles)
 
 

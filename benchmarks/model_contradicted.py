@@ -92,10 +92,10 @@ def _three_quarters(nodes: np.ndarray) -> np.ndarray:
     return nodes[:, 0] > low + 0.25 * (high - low)
 
 
-def _inclusion(place: np.ndarray) -> np.ndarray:
+def _inclusion(point: np.ndarray) -> np.ndarray:
     """A ball of 20 mm inside every one of the bodies, off their axes."""
     centre = np.array([5e-3, 0.0, 14e-3])
-    far = np.linalg.norm(place - centre.reshape(3, *(1,) * (place.ndim - 1)), axis=0)
+    far = np.linalg.norm(point - centre.reshape(3, *(1,) * (point.ndim - 1)), axis=0)
     return np.where(far < 10e-3, 5.0, 1.0)
 
 
@@ -133,11 +133,11 @@ def truth(
     solver = factorise(free_part(stiffness_matrix(basis, moduli), held), solid.nodes[~held])
     values = surface_values(solid, mesh.vertices)
     moved = []
-    for place in places:
-        along = np.cross(place.inward, [0.3, 0.9, 0.2])
+    for push in places:
+        along = np.cross(push.inward, [0.3, 0.9, 0.2])
         shift = fault.contact_shift * along / np.linalg.norm(along)
-        point = closest_points(mesh, (place.point + shift)[None]).position[0]
-        load = pressure_load(solid, point, RADIUS, smooth_pressure)[:, None] * place.inward
+        point = closest_points(mesh, (push.point + shift)[None]).position[0]
+        load = pressure_load(solid, point, RADIUS, smooth_pressure)[:, None] * push.inward
         nodal = np.zeros(solid.nodes.shape)
         nodal[~held] = solver.solve(load[~held].reshape(-1, 1)).reshape(-1, 3)
         moved.append(values @ nodal)
@@ -151,14 +151,14 @@ def exact_session(mesh: TriangleMesh, places: Sequence[Place], moved: list[np.nd
     surface = closest_points(mesh, mesh.vertices[seen])
     probings = tuple(
         Probing(
-            name=f"n{k}", contact=Contact(place.point, RADIUS, "smooth"), force=place.inward,
+            name=f"n{k}", contact=Contact(push.point, RADIUS, "smooth"), force=push.inward,
             force_std=np.full(3, 0.005), tip_displacement=None, tip_displacement_std=None,
             displacement=DisplacementField(
                 mesh.vertices[seen], u[seen], None, seen, surface, "truth"
             ),
             images=None,
         )
-        for k, (place, u) in enumerate(zip(places, moved, strict=True), start=1)
+        for k, (push, u) in enumerate(zip(places, moved, strict=True), start=1)
     )  # fmt: skip
     held = np.flatnonzero(base[mesh.triangles].all(axis=1))
     return refined_session(Session("truth", Path(), mesh, held, probings, None, None, None, ()))
@@ -224,10 +224,12 @@ def main() -> None:
             given = [
                 [noisy(probe, *NOISES[noise], rng) for probe in probes] for _ in range(repeats)
             ]
-            fits = [fit(each) for each in given]
-            causes = [cause_of(session, *each) for each in zip(given, fits, strict=True)]
-            others = [one for one, cause in zip(fits, causes, strict=True) if not cause]
-            right = [held(one.estimate, TRUTH) for one in others] or [np.zeros(3, dtype=int)]
+            fits = [fit(observations) for observations in given]
+            causes = [
+                cause_of(session, *given_and_fit) for given_and_fit in zip(given, fits, strict=True)
+            ]
+            others = [fitted for fitted, cause in zip(fits, causes, strict=True) if not cause]
+            right = [held(fitted.estimate, TRUTH) for fitted in others] or [np.zeros(3, dtype=int)]
             ratio, _, young = np.sum(right, axis=0)
             named = ", ".join(f"{n} {name}" for name, n in Counter(causes).items() if name)
             print(

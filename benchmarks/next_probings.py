@@ -40,13 +40,13 @@ def main() -> None:
     folder, ratios = Path(sys.argv[1]), []
     for name in sys.argv[2:] or FIVE:
         measured = session(measured_body(name, folder), ErrorPriors(), NOISE, 0)
-        found = plan_next(measured, count=1)
+        plan = plan_next(measured, count=1)
         made = len(measured.probings)
-        places = [made + k for k in range(len(found.point))]
+        places = [made + k for k in range(len(plan.point))]
         rng = np.random.default_rng(0)
-        chosen = found.information.bound(best(found.information, places))["poisson_ratio"]
+        chosen = plan.information.bound(best(plan.information, places))["poisson_ratio"]
         drawn = [
-            found.information.bound(rng.choice(places, COUNT, replace=False).tolist())
+            plan.information.bound(rng.choice(places, COUNT, replace=False).tolist())
             for _ in range(DRAWS + TRIPLES)
         ]
         every = [bound["poisson_ratio"] for bound in drawn]

@@ -64,7 +64,7 @@ def main() -> None:
 
 
 def _numbers(values: np.ndarray) -> str:
-    return ", ".join(f"{each:.5f}" for each in values)
+    return ", ".join(f"{value:.5f}" for value in values)
 
 
 def _write_points(probing: Probing) -> None:

@@ -45,7 +45,7 @@ def measure(options: Options) -> list[Figure]:
     """Vertices seen, and standard deviations of E and nu, planned over measured."""
     files = sorted(_BENCHES.glob("*.toml"))
     chosen, repeats = (files[:1], 2) if options.quick else (files, REPEATS)
-    return [one for file in chosen for one in bench_figures(file, repeats)]
+    return [figure for file in chosen for figure in bench_figures(file, repeats)]
 
 
 def bench_figures(file: Path, repeats: int) -> list[Figure]:
@@ -57,19 +57,19 @@ def bench_figures(file: Path, repeats: int) -> list[Figure]:
     repeats : int               how often it is measured
     """
     config = read_lab_config(file)
-    found = kept(config, repeats)
-    estimates = [one.estimate for one in found.results]
+    measurement = kept(config, repeats)
+    estimates = [result.estimate for result in measurement.results]
     seen = [
         planned.seen / measured.observed
         for estimate in estimates
-        for planned, measured in zip(found.plan.probings, estimate.probes, strict=True)
+        for planned, measured in zip(measurement.plan.probings, estimate.probes, strict=True)
     ]
     note = f"{len(seen)} probings, {min(seen):.2f} to {max(seen):.2f}"
     ratios = {"vertices seen": (float(np.mean(seen)), note)}
     for name, short in (("young_modulus", "E"), ("poisson_ratio", "nu")):
-        planned = found.plan.precision[name]
+        planned = measurement.plan.precision[name]
         fitted = np.array([getattr(estimate, name).std for estimate in estimates])
-        bound = _rms(np.array([one[name] for one in found.bounds]))
+        bound = _rms(np.array([precision[name] for precision in measurement.bounds]))
         note = (
             f"planned {planned:.3g}; {len(fitted)} fits: {fitted.min():.3g} to {fitted.max():.3g};"
             f" over what Fisher's information says of their own points {planned / bound:.2f}"
@@ -93,21 +93,23 @@ def kept(config: LabConfig, repeats: int) -> Kept:
         folders = [Path(base) / str(k) for k in range(repeats)]
         for folder in folders:
             folder.mkdir()
-        wanted = [(replace(config, seed=config.seed + k), one) for k, one in enumerate(folders)]
+        wanted = [
+            (replace(config, seed=config.seed + k), made_in) for k, made_in in enumerate(folders)
+        ]
         make_sessions(wanted, variant=variant)
         sessions = [read_session(folder) for folder in folders]
-        results = [fit_session(with_pictures_measured(one)) for one in sessions]
+        results = [fit_session(with_pictures_measured(measured)) for measured in sessions]
         plan = plan_measurement(
             sessions[0], variant=variant, pictures=config.pictures,
             young_modulus=material.young_modulus, **constants,
         )  # fmt: skip
-    models = [one.model for one in results if one.model is not None]
+    models = [result.model for result in results if result.model is not None]
     bounds = [
         fisher_information(
-            [probe.observations for probe in one.problem.probes],
+            [probe.observations for probe in model.problem.probes],
             shear_modulus=material.shear_modulus,
             **constants,
         ).bound()
-        for one in models
+        for model in models
     ]
     return Kept(plan, tuple(results), tuple(bounds))

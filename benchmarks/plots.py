@@ -123,13 +123,13 @@ def coverage_figure(rows: Sequence[Row]) -> Figure:
     -------
     Figure
     """
-    found = [held for row in rows if (held := _held(row))]
+    shares = [held for row in rows if (held := _held(row))]
     figure = Figure(figsize=(6.0, 3.6), layout="constrained")
     axes = figure.add_subplot()
     axes.axvline(_NOMINAL, color=ORANGE, linewidth=1.0)
     axes.annotate("nominal", (_NOMINAL, 1.01), xycoords=("data", "axes fraction"), ha="center",
                   color=ORANGE)  # fmt: skip
-    _draw_groups(axes, found)
+    _draw_groups(axes, shares)
     axes.tick_params(axis="y", length=0)
     axes.set_xlim(right=100.8)
     axes.xaxis.set_major_locator(MultipleLocator(5.0))
@@ -140,25 +140,25 @@ def coverage_figure(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def _draw_groups(axes: Axes, found: Sequence[_Held]) -> None:
+def _draw_groups(axes: Axes, shares: Sequence[_Held]) -> None:
     """A dot and its bar in every row, rows of a group below its name."""
-    groups = dict.fromkeys(held.group for held in found)
+    groups = dict.fromkeys(held.group for held in shares)
     ticks: dict[float, str] = {}
-    place = 0.0
+    height = 0.0
     for group in groups:
-        place += _GAP
-        ticks[place] = group
-        for held in found:
+        height += _GAP
+        ticks[height] = group
+        for held in shares:
             if held.group == group:
-                place += 1.0
-                ticks[place] = held.label
-                axes.errorbar(held.share, place, xerr=held.chance, fmt="o", color=BLUE,
+                height += 1.0
+                ticks[height] = held.label
+                axes.errorbar(held.share, height, xerr=held.chance, fmt="o", color=BLUE,
                               markersize=5, elinewidth=1.0)  # fmt: skip
     axes.set_yticks(list(ticks), [fill(label, _WIDTH) for label in ticks.values()])
     for label, text in zip(ticks.values(), axes.get_yticklabels(), strict=True):
         if label in groups:
             text.set_fontweight("bold")
-    axes.set_ylim(place + 0.6, _GAP - 0.6)
+    axes.set_ylim(height + 0.6, _GAP - 0.6)
 
 
 def _held(row: Row) -> _Held | None:

@@ -113,8 +113,8 @@ def regular(kind: str, folder: Path) -> Float[np.ndarray, " p"]:
             load[2::3, k] = pressure_load(solid, point, _SPREAD * _EDGE, smooth)
         seen = (solve_free(held, factor, load) * load).sum(axis=0)
         folder.mkdir(parents=True, exist_ok=True)
-        own = 2.0695 / (2.0 * np.pi * _SPREAD * _EDGE)
-        np.save(file, seen - (1.0 - POISSON_RATIO) * own)
+        half_space = 2.0695 / (2.0 * np.pi * _SPREAD * _EDGE)
+        np.save(file, seen - (1.0 - POISSON_RATIO) * half_space)
     return np.load(file)
 
 
@@ -144,7 +144,7 @@ def table(chosen: np.ndarray, compliance: np.ndarray, seed: int) -> PokeTable:
 
 
 def gaussian_process(
-    place: Float[np.ndarray, "n 2"],
+    point: Float[np.ndarray, "n 2"],
     value: Float[np.ndarray, " n"],
     others: Float[np.ndarray, "m 2"],
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
@@ -157,8 +157,8 @@ def gaussian_process(
         return np.exp(2.0 * theta[0]) * (1.0 + scaled) * np.exp(-scaled)
 
     def factored(theta: np.ndarray):
-        noise = np.exp(2.0 * theta[2]) * np.eye(len(place))
-        return cho_factor(covariance(place, place, theta) + noise, lower=True)
+        noise = np.exp(2.0 * theta[2]) * np.eye(len(point))
+        return cho_factor(covariance(point, point, theta) + noise, lower=True)
 
     def loss(theta: np.ndarray) -> float:
         factor = factored(theta)
@@ -167,9 +167,9 @@ def gaussian_process(
 
     std, bounds = np.log(value.std()), [(-6.0, 2.0), (np.log(2e-3), np.log(0.2)), (-7.0, 1.0)]
     starts = [np.array([std, np.log(length), std - 1.5]) for length in (5e-3, 15e-3, 40e-3)]
-    found = [minimize(loss, each, method="L-BFGS-B", bounds=bounds) for each in starts]
-    theta = min(found, key=lambda each: each.fun).x
-    factor, cross = factored(theta), covariance(others, place, theta)
+    solutions = [minimize(loss, start, method="L-BFGS-B", bounds=bounds) for start in starts]
+    theta = min(solutions, key=lambda solution: solution.fun).x
+    factor, cross = factored(theta), covariance(others, point, theta)
     left = np.exp(2.0 * theta[0]) - np.einsum("mn,nm->m", cross, cho_solve(factor, cross.T))
     return mean + cross @ cho_solve(factor, value - mean), np.sqrt(np.maximum(left, 0.0))
 

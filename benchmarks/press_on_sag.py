@@ -79,7 +79,7 @@ def by_calculix(seen: Points) -> tuple[list[Points], list[float]]:
     # What is on the other side of the plane of symmetry moves as its mirror image.
     at = surface_values(solid, np.column_stack([seen[:, 0], np.abs(seen[:, 1]), seen[:, 2]]))
     mirrored = np.where(seen[:, 1:2] < 0.0, [1.0, -1.0, 1.0], 1.0)
-    return [mirrored * (at @ each) for each in moved], [float(f @ inward) for f in forces[1:]]
+    return [mirrored * (at @ nodal) for nodal in moved], [float(f @ inward) for f in forces[1:]]
 
 
 def sagged(body: Body) -> Sag:
@@ -98,22 +98,26 @@ def main() -> None:
     solid = make_solid(pressed.surface, edge=EDGES[0], fine=[(point, 8e-3, EDGES[1])])
     held = np.isclose(solid.nodes[:, 2], 0.0, atol=1e-9)
     body = make_body(solid, held, shear_modulus=SHEAR_MODULUS, poisson_ratio=pressed.poisson_ratio)
-    own, look, tip = sagged(body), surface_values(solid, seen), Tip(Sphere(BALL), point, inward)
-    off = np.linalg.norm(look @ own.displacement - sag) / np.linalg.norm(sag)
+    sag_of_body, look, tip = (
+        sagged(body),
+        surface_values(solid, seen),
+        Tip(Sphere(BALL), point, inward),
+    )
+    off = np.linalg.norm(look @ sag_of_body.displacement - sag) / np.linalg.norm(sag)
     print(f"sag of {1e3 * np.linalg.norm(sag, axis=1).max():.2f} mm at most: off by {off:.2%}")
-    back = (surface_values(solid, point[None]) @ own.displacement)[0]
+    back = (surface_values(solid, point[None]) @ sag_of_body.displacement)[0]
     behind = replace(tip, point=point - back)
     for depth, force, both in zip(DEPTHS, forces, truth, strict=True):
         for name, ball, rest in (
-            ("", tip, own),
+            ("", tip, sag_of_body),
             (", weightless", tip, None),
-            (", axis left behind", behind, own),
+            (", axis left behind", behind, sag_of_body),
         ):
-            found = press_finite(body, ball, abs(force), law=SplitNeoHookean, sag=rest)
+            result = press_finite(body, ball, abs(force), law=SplitNeoHookean, sag=rest)
             before = 0.0 if rest is None else rest.displacement
-            apart = look @ (found.displacement - before) - (both - sag)
+            apart = look @ (result.displacement - before) - (both - sag)
             off = np.linalg.norm(apart) / np.linalg.norm(both - sag)
-            own_depth = found.travel + BALL
+            own_depth = result.travel + BALL
             print(
                 f"{force:.3f} N, {1e3 * depth:g} mm deep{name}: off by {off:.2%},"
                 f" {1e3 * own_depth:.3f} mm deep"

@@ -56,8 +56,8 @@ def kept_press(config: LabConfig, k: int, file: Path) -> SolvedPress:
         )  # fmt: skip
         write_bytes(file, pickle.dumps(solve_press(config, tip, k, FILM)))
         print(f"{file} is solved", flush=True)
-    found: SolvedPress = pickle.loads(file.read_bytes())
-    return found
+    press: SolvedPress = pickle.loads(file.read_bytes())
+    return press
 
 
 def make_recording(
@@ -98,10 +98,10 @@ def make_recording(
     )  # fmt: skip
     truths = [
         Truth(
-            one.force[-1], np.array(one.point), one.radius, begin,
+            press.force[-1], np.array(press.point), press.radius, begin,
             begin + FILM.ramp + FILM.hold / 2.0, begin - FILM.approach - 0.5,
         )
-        for one, begin in zip(presses, FILM.start_times, strict=True)
+        for press, begin in zip(presses, FILM.start_times, strict=True)
     ]  # fmt: skip
     write_text(folder / "recording.toml", tomlkit.dumps(_recording(config, rig, truths)))
     np.savez(

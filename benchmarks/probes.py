@@ -52,14 +52,17 @@ def _noisy(estimate: Estimate, truth: dict[str, float]) -> list[Figure]:
     constants = (("E", "young_modulus", "%"), ("nu", "poisson_ratio", ""))
     figures = []
     for symbol, name, unit in constants:
-        found = getattr(estimate, name)
-        error = abs(found.value - truth[name])
+        constant = getattr(estimate, name)
+        error = abs(constant.value - truth[name])
         shown = 100 * error / truth[name] if unit else error
         title = f"halfball_probes noisy (3 % outliers, 10 % NaN): error of {symbol}"
-        note = f"{symbol} {found.value:.6g}, claimed sigma {found.std:.2g}, truth {truth[name]:.6g}"
+        note = (
+            f"{symbol} {constant.value:.6g}, claimed sigma {constant.std:.2g}, truth"
+            f" {truth[name]:.6g}"
+        )
         figures += [
             Figure(ESTIMATION, title, shown, unit, note=note),
-            Figure(ESTIMATION, f"{title}, in claimed sigmas", error / found.std, note=note),
+            Figure(ESTIMATION, f"{title}, in claimed sigmas", error / constant.std, note=note),
         ]
     return figures
 

@@ -84,23 +84,25 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def seconds(arguments: list[str], cache: Path, place: Path | None = None) -> float:
+def seconds(arguments: list[str], cache: Path, folder: Path | None = None) -> float:
     """Wall time of one process of the command, its caches in a folder, run there or elsewhere."""
     script = Path(sys.executable).with_name("palpate")
     command = [str(script)] if script.exists() else [sys.executable, "-c", START]
-    return _run([*command, *arguments], _made(cache), place)
+    return _run([*command, *arguments], _made(cache), folder)
 
 
-def _run(command: list[str], cache: Path, place: Path | None = None) -> float:
+def _run(command: list[str], cache: Path, folder: Path | None = None) -> float:
     """Wall time of one process, its caches in a folder."""
     caches = {"NUMBA_CACHE_DIR": f"{cache}/numba", "MPLCONFIGDIR": f"{cache}/matplotlib"}
     # Python keeps what it has compiled of the modules, unless it is told not to.
-    told = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    environment = {
+        name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"
+    }
     start = time.perf_counter()
     done = subprocess.run(
         command,
-        env=told | caches,
-        cwd=place or cache,
+        env=environment | caches,
+        cwd=folder or cache,
         capture_output=True,
         text=True,
         check=False,

@@ -29,22 +29,22 @@ def real_figures(folder: Path) -> list[Figure]:
 
 def _chessboards(camera: Path) -> tuple[Calibration, Figure]:
     """What is left of the corners, over what OpenCV's own calibration of them leaves."""
-    found = find_boards(find_pictures(camera), [_BOARD])
-    result = calibrate(found, [_BOARD])
+    sightings = find_boards(find_pictures(camera), [_BOARD])
+    result = calibrate(sightings, [_BOARD])
     corners = result.corners
     views = range(len(result.sightings.views))
     points = [corners.point[corners.view == v].astype(np.float32) for v in views]
     pixels = [corners.pixel[corners.view == v].astype(np.float32) for v in views]
-    rms, *_ = cv2.calibrateCamera(points, pixels, found.sizes[0], None, None)
-    own = np.sqrt((result.adjusted.residual**2).sum(axis=1).mean())
+    rms, *_ = cv2.calibrateCamera(points, pixels, sightings.sizes[0], None, None)
+    rms_here = np.sqrt((result.adjusted.residual**2).sum(axis=1).mean())
     good = result.adjusted.good
-    kept = np.sqrt((result.adjusted.residual[good] ** 2).sum(axis=1).mean())
+    rms_good = np.sqrt((result.adjusted.residual[good] ** 2).sum(axis=1).mean())
     note = (
-        f"{len(views)} views, rms {own:.3f} px ({kept:.3f} without {int((~good).sum())} gross"
-        f" errors) against {rms:.3f} px"
+        f"{len(views)} views, rms {rms_here:.3f} px ({rms_good:.3f} without {int((~good).sum())}"
+        f" gross errors) against {rms:.3f} px"
     )
     return result, Figure(
-        DOOR, f"real chessboards, camera {camera.name}: rms over OpenCV's own", own / rms, "x",
+        DOOR, f"real chessboards, camera {camera.name}: rms over OpenCV's own", rms_here / rms, "x",
         note=note,
     )  # fmt: skip
 
@@ -109,8 +109,8 @@ def _left(rig: Rig, matches: np.ndarray) -> np.ndarray:
     known = np.isfinite(np.stack(places)).all(axis=(0, 2))
     before = places[0][known] - places[0][known].mean(axis=0)
     left = []
-    for place in places[1:]:
-        after = place[known] - place[known].mean(axis=0)
+    for pose in places[1:]:
+        after = pose[known] - pose[known].mean(axis=0)
         u, _, v = np.linalg.svd(before.T @ after)
         turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
         left.append((after - before @ turn).std(axis=0))

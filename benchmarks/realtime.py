@@ -124,7 +124,9 @@ def _tick_figures(green: GreenFunctions, name: str, walk: _Press, priority: str)
     deep[:_WARM] = False
     taken = walk.seconds[deep]
     of = f"tick of a sphere that {name}, {len(green.mesh.vertices)} vertices"
-    touching = [len(state.touching) for state, kept in zip(walk.states, deep, strict=True) if kept]
+    touching = [
+        len(state.touching) for state, is_deep in zip(walk.states, deep, strict=True) if is_deep
+    ]
     note = (
         f"{deep.sum()} ticks with {min(touching)} to {max(touching)} of {len(green.nodes)} nodes"
         f" touching; warm, garbage collection included, {priority}; in processor time"
@@ -161,9 +163,9 @@ def _energy_figure(green: GreenFunctions, top: Float[np.ndarray, "3"], ticks: in
     for share in np.linspace(0.0, 1.0, ticks):
         now = [_placed(tool, top, depth * share, 0.5 * depth * share**2)]
         states.append(touch(green, now, states[-1]))
-    place = np.array([state.tools[0].position for state in states])
+    position = np.array([state.tools[0].position for state in states])
     push = -np.array([state.tool_force[0] for state in states])
-    work = float(np.einsum("sa,sa->", 0.5 * (push[1:] + push[:-1]), np.diff(place, axis=0)))
+    work = float(np.einsum("sa,sa->", 0.5 * (push[1:] + push[:-1]), np.diff(position, axis=0)))
     energy = 0.5 * float(np.einsum("na,na->", states[-1].force, states[-1].displacement))
     return Figure(
         SIMULATION, "work of the tool over energy of the object, less one", abs(work / energy - 1),

@@ -54,10 +54,10 @@ def main() -> None:
                 sound = session(body, errors, NOISE, seed)
                 index = seed % len(sound.probings)
                 right = sound.probings[index].name
-                found, before = reciprocity(with_gain(sound, index, GAIN)), reciprocity(sound)
-                named = found.odd == (right,) and not found.grows
-                counts += [not before.holds or bool(before.odd), not found.holds, named]
-                stds += [push.std for push in found.pushes if push.name == right]
+                judged, before = reciprocity(with_gain(sound, index, GAIN)), reciprocity(sound)
+                named = judged.odd == (right,) and not judged.grows
+                counts += [not before.holds or bool(before.odd), not judged.holds, named]
+                stds += [push.std for push in judged.pushes if push.name == right]
             print(f"{text:20s} {name:10s} {_words(counts, draws)}; the others tell its force"
                   f" within {100 * float(np.mean(stds)):.1f} %", flush=True)  # fmt: skip
             total += counts

@@ -138,12 +138,12 @@ def found_presses(folder: Path) -> tuple[Found, Recorded]:
     read, std = (np.stack([getattr(p.reading, x) for p in made.presses]) for x in ("force", "std"))
     errors = np.linalg.norm(read - truth["force"][numbers], axis=1) / size[numbers]
     claims = np.linalg.norm(std, axis=1) / size[numbers]
-    found = Found(
+    outcome = Found(
         len(made.presses), sum(held), len(size),
         max(abs(clock.offset - FILM.clock_offset) for clock in made.clocks),
         float(errors.max()), float(np.sqrt(np.mean(claims**2))), megabytes, seconds,
     )  # fmt: skip
-    return found, made
+    return outcome, made
 
 
 def found_contacts(folder: Path, made: Recorded) -> tuple[Fitted, str]:
@@ -155,8 +155,10 @@ def found_contacts(folder: Path, made: Recorded) -> tuple[Fitted, str]:
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
     placed = write_recorded(out, replace(recording, contact_source=unknown), made)
-    off = np.array([np.linalg.norm(one.point - point[one.press.number - 1]) for one in placed])
-    std = np.array([one.point_std for one in placed])
+    off = np.array(
+        [np.linalg.norm(press.point - point[press.press.number - 1]) for press in placed]
+    )
+    std = np.array([press.point_std for press in placed])
     said = (
         f"contacts found without a log are off by {1e3 * np.sqrt((off**2).mean()):.2f} mm rms,"
         f" {1e3 * off.max():.2f} at most; claimed {1e3 * np.sqrt(2 * (std**2).mean()):.2f} mm;"
@@ -178,23 +180,27 @@ def fitted(folder: Path) -> Fitted:
     )  # fmt: skip
 
 
-def press_figures(found: Sequence[Found]) -> list[Figure]:
+def press_figures(outcomes: Sequence[Found]) -> list[Figure]:
     """What was found of some recordings."""
-    name = f"`palpate record`, {len(found)} x ten presses"
-    every = sum(one.true for one in found)
-    presses, held = (sum(getattr(one, which) for one in found) for which in ("presses", "held"))
+    name = f"`palpate record`, {len(outcomes)} x ten presses"
+    every = sum(outcome.true for outcome in outcomes)
+    presses, held = (
+        sum(getattr(outcome, which) for outcome in outcomes) for which in ("presses", "held")
+    )
     # The peak of the process: those after the first have fits before them.
-    first = found[0].megabytes
+    first = outcomes[0].megabytes
     return [
         Figure(DOOR, f"{name}: presses found", 100.0 * presses / every, "%",
                note=f"{presses} of {every}, {held} plateaus while the tool was held;"
-               f" {first:.0f} MB and {np.mean([one.seconds for one in found]):.0f} s a minute of"
-               " three videos"),
-        Figure(DOOR, f"{name}: clock of the worst camera", 1e3 * max(one.clock for one in found),
-               "ms", note="the gauge's clock is 0.4 s ahead"),
-        Figure(DOOR, f"{name}: the worst force", 100 * max(one.force for one in found), "%",
+               f" {first:.0f} MB and {np.mean([outcome.seconds for outcome in outcomes]):.0f} s a"
+               " minute of three videos"),
+        Figure(DOOR, f"{name}: clock of the worst camera",
+               1e3 * max(outcome.clock for outcome in outcomes), "ms",
+               note="the gauge's clock is 0.4 s ahead"),
+        Figure(DOOR, f"{name}: the worst force",
+               100 * max(outcome.force for outcome in outcomes), "%",
                note="claimed"
-               f" {100 * np.sqrt(np.mean([one.claimed**2 for one in found])):.3f} %"),
+               f" {100 * np.sqrt(np.mean([outcome.claimed**2 for outcome in outcomes])):.3f} %"),
     ]  # fmt: skip
 
 
@@ -203,15 +209,16 @@ def fit_figures(recorded: Sequence[Fitted], by_hand: Sequence[Fitted], which: st
     figures = []
     for term, short, factor, unit in (("young", "E", 100.0, " %"), ("ratio", "nu", 1.0, "")):
         ours, theirs = (
-            factor * np.array([getattr(one, term) for one in some]) for some in (recorded, by_hand)
+            factor * np.array([getattr(draw, term) for draw in some])
+            for some in (recorded, by_hand)
         )
-        own, other = (
-            factor * float(np.sqrt(np.mean([getattr(one, f"{term}_std") ** 2 for one in some])))
+        claim, other = (
+            factor * float(np.sqrt(np.mean([getattr(draw, f"{term}_std") ** 2 for draw in some])))
             for some in (recorded, by_hand)
         )
         note = (
-            f"{len(ours)} draws of all noise; off by {_listed(ours)}{unit} (claimed {own:.2g}); by"
-            f" hand {_listed(theirs)}{unit} (claimed {other:.2g})"
+            f"{len(ours)} draws of all noise; off by {_listed(ours)}{unit} (claimed {claim:.2g});"
+            f" by hand {_listed(theirs)}{unit} (claimed {other:.2g})"
         )
         ratio = float(np.sqrt((ours**2).mean() / (theirs**2).mean()))
         what = f"{which}: rms error of {short} over that of sessions sorted by hand"
@@ -248,9 +255,9 @@ def figures_of(folders: Sequence[Path]) -> list[Figure]:
     contacts, said = found_contacts(folders[0], made[0][1])
     first = fit_figures([contacts], by_hand[:1], "session of which the contacts were found")
     return [
-        *press_figures([found for found, _ in made]),
+        *press_figures([outcome for outcome, _ in made]),
         *fit_figures(recorded, by_hand, "recorded session"),
-        *(replace(one, note=f"{said}; {one.note}") for one in first),
+        *(replace(figure, note=f"{said}; {figure.note}") for figure in first),
     ]
 
 

@@ -63,7 +63,8 @@ def _under_a_ball() -> Session:
     given = _half_ball()
     ball = Sphere(0.02)
     touched = [
-        replace(one, contact=Contact.under(ball, one.contact.point)) for one in given.probings
+        replace(probing, contact=Contact.under(ball, probing.contact.point))
+        for probing in given.probings
     ]
     return replace(given, probings=tuple(touched))
 
@@ -123,17 +124,25 @@ SESSIONS: dict[str, tuple[Callable[[], Session], bool]] = {
 def constants(session: str, estimate: Estimate) -> Iterator[Frozen]:
     """What is kept of an estimate."""
     for name in NAMES:
-        found = getattr(estimate, name)
-        yield Frozen(session, name, estimate.status.value, found.value, found.std)
+        constant = getattr(estimate, name)
+        yield Frozen(session, name, estimate.status.value, constant.value, constant.std)
 
 
-def write(found: list[Frozen]) -> None:
+def write(frozen_now: list[Frozen]) -> None:
     """Freeze constants."""
     with FROZEN.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(["session", "constant", "status", "value", "std"])
-        for one in found:
-            rows.writerow([one.session, one.name, one.status, f"{one.value:.9g}", f"{one.std:.4g}"])
+        for frozen in frozen_now:
+            rows.writerow(
+                [
+                    frozen.session,
+                    frozen.name,
+                    frozen.status,
+                    f"{frozen.value:.9g}",
+                    f"{frozen.std:.4g}",
+                ]
+            )
 
 
 def read() -> dict[tuple[str, str], Frozen]:
@@ -150,26 +159,29 @@ def read() -> dict[tuple[str, str], Frozen]:
             )
             for row in rows
         ]
-    return {(one.session, one.name): one for one in every}
+    return {(frozen.session, frozen.name): frozen for frozen in every}
 
 
 def main() -> None:
     """Fit all sessions, then print or freeze their constants."""
     freeze = sys.argv[1:] == ["--freeze"]
-    before, found = {} if freeze else read(), list[Frozen]()
+    before, frozen_now = {} if freeze else read(), list[Frozen]()
     for name, (make, finite) in SESSIONS.items():
         estimate = fit_session(make(), finite_strain=finite).estimate
-        for one in constants(name, estimate):
-            found.append(one)
-            line = f"{name:34s} {one.name:14s} {one.status:18s} {one.value:.7g} +- {one.std:.3g}"
+        for constant in constants(name, estimate):
+            frozen_now.append(constant)
+            line = (
+                f"{name:34s} {constant.name:14s} {constant.status:18s}"
+                f" {constant.value:.7g} +- {constant.std:.3g}"
+            )
             if not freeze:
-                was = before[name, one.name]
-                off = (one.value - was.value) / was.std
-                mark = "" if abs(off) <= LARGEST and one.status == was.status else "  <-"
-                line += f"  {off:+.3f} std, width {100 * (one.std / was.std - 1):+.1f} %{mark}"
+                was = before[name, constant.name]
+                off = (constant.value - was.value) / was.std
+                mark = "" if abs(off) <= LARGEST and constant.status == was.status else "  <-"
+                line += f"  {off:+.3f} std, width {100 * (constant.std / was.std - 1):+.1f} %{mark}"
             print(line, flush=True)
     if freeze:
-        write(found)
+        write(frozen_now)
 
 
 if __name__ == "__main__":

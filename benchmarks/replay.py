@@ -25,9 +25,9 @@ _USED = ("p2", "p3", "p4", "p5", "p6")
 
 def measure(_: Options) -> list[Figure]:
     """Displacement of the contact point of probing p1 of the half ball, off from Palpate's."""
-    place = ROOT / "examples" / "half_ball"
-    estimate = fit_session(read_session(place, probes=_USED)).estimate
-    source = FitSource(read_session(place), estimate, ())
+    example = ROOT / "examples" / "half_ball"
+    estimate = fit_session(read_session(example, probes=_USED)).estimate
+    source = FitSource(read_session(example), estimate, ())
     figures = [_every_push(source)]
     for name, (form, nodes, run) in _SIMULATORS.items():
         with tempfile.TemporaryDirectory() as folder:

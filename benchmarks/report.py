@@ -27,11 +27,11 @@ def write_part(
     machine : str -> str            from `machine.described`
     """
     others = [row for row in read_rows(path) if row["part"] != part] if path.exists() else []
-    found = [_row(part, figure, machine) for figure in figures]
+    rows = [_row(part, figure, machine) for figure in figures]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
-        writer.writerows(sorted([*others, *found], key=lambda row: row["part"]))
+        writer.writerows(sorted([*others, *rows], key=lambda row: row["part"]))
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -60,7 +60,7 @@ def write_page(path: Path, page: Path) -> None:
                 "| what | figure | beside it |",
                 "| --- | ---: | --- |",
             ]
-            lines += [f"| {' | '.join(each)} |" for each in cells]
+            lines += [f"| {' | '.join(row)} |" for row in cells]
     lines += [
         "",
         "## Plots",

@@ -79,10 +79,10 @@ def resected(
     scale = np.concatenate([np.full(4, focal), [0.1 * focal], np.full(3, 0.1), np.full(3, width)])
     scale = np.concatenate([scale, np.full(len(chosen), 0.1)])
     count = _INNER + _OUTER + len(chosen)
-    found = least_squares(
+    solution = least_squares(
         residual, np.zeros(count), x_scale=0.01 * scale, method="lm", xtol=1e-12, ftol=1e-12
     )
-    return Resection(_changed(start, found.x, chosen), found.fun.reshape(-1, 2))
+    return Resection(_changed(start, solution.x, chosen), solution.fun.reshape(-1, 2))
 
 
 def _checked(
@@ -111,8 +111,8 @@ def _checked(
 def _changed(start: Camera, change: np.ndarray, terms: Sequence[int]) -> Camera:
     """The camera after a small change of its unknowns."""
     matrix, distortion = start.matrix.copy(), start.distortion.copy()
-    for value, place in zip(change, ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1)), strict=False):
-        matrix[place] += value
+    for value, entry in zip(change, ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1)), strict=False):
+        matrix[entry] += value
     distortion[list(terms)] += change[_INNER + _OUTER :]
     pose = start.T_camera_object.copy()
     pose[:3, :3] = cv2.Rodrigues(change[_INNER : _INNER + 3])[0] @ pose[:3, :3]

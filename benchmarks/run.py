@@ -79,14 +79,14 @@ def _all_measured(subjects: Sequence[str], *, quick: bool, peers: bool) -> list[
     for name in subjects:
         start = time.perf_counter()
         print(f"{name} ...", end=" ", flush=True)
-        found = _measured(name, quick=quick, peers=peers)
+        outcome = _measured(name, quick=quick, peers=peers)
         print(f"{time.perf_counter() - start:.0f} s", flush=True)
-        if isinstance(found, str):
-            figures.append(Figure(NOT_MEASURED, name, None, note=found))
-            print(f"{name} failed: {found}", file=sys.stderr)
+        if isinstance(outcome, str):
+            figures.append(Figure(NOT_MEASURED, name, None, note=outcome))
+            print(f"{name} failed: {outcome}", file=sys.stderr)
             continue
-        print(as_text(found), flush=True)
-        figures += found
+        print(as_text(outcome), flush=True)
+        figures += outcome
     return figures
 
 

@@ -97,9 +97,9 @@ def pressed(shape: str, file: Path, support: Plane) -> Pressed:
         away /= np.linalg.norm(away, axis=1, keepdims=True)
         toward = np.array(_TOWARD) / np.linalg.norm(_TOWARD, axis=1, keepdims=True)
         number = (away @ toward.T).argmax(axis=0)
-        place = surface.vertices[number]
+        position = surface.vertices[number]
         force = -FORCE * away[number]
-        fine = [(one, 1.2 * PATCH, 0.5 * _ELEMENT) for one in place]
+        fine = [(point, 1.2 * PATCH, 0.5 * _ELEMENT) for point in position]
         solid = make_solid(surface, edge=_ELEMENT, fine=fine)
         held = np.zeros(len(solid.nodes), dtype=bool)
         held[solid.facets[(solid.nodes[solid.facets][:, :, 2] < height + 1e-6).all(axis=1)]] = True
@@ -107,10 +107,10 @@ def pressed(shape: str, file: Path, support: Plane) -> Pressed:
             make_body(solid, held, shear_modulus=SHEAR_MODULUS, poisson_ratio=POISSON_RATIO)
         )
         moved = [
-            truth.at(truth.displacement(*one, PATCH), points)
-            for one in zip(place, force, strict=True)
+            truth.at(truth.displacement(*push, PATCH), points)
+            for push in zip(position, force, strict=True)
         ]
-        np.savez(file, place=place, force=force, points=points, moved=moved)
+        np.savez(file, place=position, force=force, points=points, moved=moved)
     with np.load(file) as stored:
         return Pressed(**stored)
 
@@ -133,11 +133,13 @@ def session(
     foot = heights < heights.min() + _FOOT
     surface = closest_points(mesh, body.points)
     probings = []
-    for k, (place, force, moved) in enumerate(zip(body.place, body.force, body.moved, strict=True)):
+    for k, (position, force, moved) in enumerate(
+        zip(body.place, body.force, body.moved, strict=True)
+    ):
         sigma = noise * float(np.sqrt((moved**2).mean()))
         seen = moved + sigma * rng.normal(size=moved.shape)
         std = np.full_like(seen, sigma) if noise else None
-        point = closest_points(mesh, place[None]).position[0]
+        point = closest_points(mesh, position[None]).position[0]
         field = DisplacementField(surface.position, seen, std, None, surface, "truth")
         probings.append(
             Probing(f"n{k}", Contact(point, PATCH, "smooth"), force, None, None, None, field, None)
@@ -188,7 +190,9 @@ def measure(options: Options) -> list[Figure]:
     shapes, vertices = (("half-ball",), 300) if options.quick else (tuple(RADIUS), _VERTICES)
     folder = MADE / "turntables"
     return [
-        one for shape in shapes for one in shape_figures(folder, shape, vertices, on_foot=False)
+        figure
+        for shape in shapes
+        for figure in shape_figures(folder, shape, vertices, on_foot=False)
     ]
 
 

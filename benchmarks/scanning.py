@@ -4,7 +4,7 @@
 
 The time of one dense view; a toy and a half ball of speckle, twelve views 30 degrees apart by
 three cameras, noise 1.5 grey levels, rendered into the folder where they are not there yet; then
-the toy with its poses not told. Distances are from the exact shape, both ways, over what the
+the toy with unknown poses. Distances are from the exact shape, both ways, over what the
 views show; the scan stands on its support, whose plane is given.
 """
 
@@ -88,23 +88,23 @@ class Row:
 
 def turntable(folder: Path, shape: str) -> Path:
     """Render a turntable if it is not there; its scan.toml, with the angles and without."""
-    place = folder / shape
-    if not (place / "session.toml").exists():
-        place.mkdir(parents=True)
-        config = place / "bench.toml"
+    root = folder / shape
+    if not (root / "session.toml").exists():
+        root.mkdir(parents=True)
+        config = root / "bench.toml"
         config.write_text(
             _CONFIG.format(shape=shape, radius=RADIUS[shape], steps=_VIEWS - 1, step=_STEP)
         )
-        make_session(read_lab_config(config), place, variant=choose_variant())
+        make_session(read_lab_config(config), root, variant=choose_variant())
     head = 'format = "palpate-scan/1"\nlength_unit = "m"\n'
     rig = '[rig]\ncameras = "rig.toml"\n'
     views = [f'[[view]]\nimages = "images/s{k}_{{camera}}.png"\n' for k in range(_VIEWS)]
     table = "[turntable]\npoint = [0, 0, 0]\naxis = [0, 0, 1]\n"
     angles = [f"{view}angle = {_STEP * k}\n" for k, view in enumerate(views)]
-    told = f'{head}support = "z=0"\n{rig}{table}'
-    (place / "scan.toml").write_text(told + "".join(angles))
-    (place / "unknown.toml").write_text(head + rig + "".join(views))
-    return place
+    header = f'{head}support = "z=0"\n{rig}{table}'
+    (root / "scan.toml").write_text(header + "".join(angles))
+    (root / "unknown.toml").write_text(head + rig + "".join(views))
+    return root
 
 
 def compared(shape: str, made: ScannedSurface) -> Row:
@@ -139,9 +139,9 @@ def compared(shape: str, made: ScannedSurface) -> Row:
 
 def shape_figures(folder: Path, shape: str, vertices: int) -> list[Figure]:
     """How far the scan of one turntable is from the exact shape."""
-    place = turntable(folder, shape)
+    root = turntable(folder, shape)
     start = time.perf_counter()
-    scan = read_scan(place / "scan.toml")
+    scan = read_scan(root / "scan.toml")
     read = time.perf_counter()
     made = scan_surface(scan.views, vertices=vertices, support=scan.support)
     seconds = read - start, time.perf_counter() - read
@@ -167,21 +167,21 @@ def shape_figures(folder: Path, shape: str, vertices: int) -> list[Figure]:
 
 def pose_figures(folder: Path) -> list[Figure]:
     """Where the views of the toy stood, found from its shape alone."""
-    place = turntable(folder, "toy")
-    views = read_scan(place / "unknown.toml").views
+    root = turntable(folder, "toy")
+    views = read_scan(root / "unknown.toml").views
     start = time.perf_counter()
-    found = posed(views)
+    placed_views = posed(views)
     seconds = time.perf_counter() - start
     turns, shifts = [], []
-    for k, (view, one) in enumerate(zip(views, found, strict=True)):
+    for k, (view, placed) in enumerate(zip(views, placed_views, strict=True)):
         back = Rotation.from_euler("z", -_STEP * k, degrees=True).as_matrix()
         place_true = view.points @ back.T
         turn, _ = Rotation.align_vectors(
-            one.points - one.points.mean(axis=0), place_true - place_true.mean(axis=0)
+            placed.points - placed.points.mean(axis=0), place_true - place_true.mean(axis=0)
         )
         turns.append(np.degrees(turn.magnitude()))
-        shifts.append(1e3 * np.linalg.norm(one.points.mean(axis=0) - place_true.mean(axis=0)))
-    name = f"turntable of {_VIEWS} views, poses not told: largest"
+        shifts.append(1e3 * np.linalg.norm(placed.points.mean(axis=0) - place_true.mean(axis=0)))
+    name = f"turntable of {_VIEWS} views, unknown poses: largest"
     return [
         Figure(DOOR, f"{name} {what}", float(max(errors)), unit,
                note=f"rms {np.sqrt(np.mean(np.square(errors))):.3f} {unit}; {seconds:.0f} s")
@@ -191,25 +191,25 @@ def pose_figures(folder: Path) -> list[Figure]:
 
 def view_figure(folder: Path, shape: str) -> Figure:
     """How long the dense match of one step takes."""
-    place = turntable(folder, shape)
-    rig = read_rig(place / "rig.toml")
-    pictures = read_pictures(rig, "images/s1_{camera}.png", folder=place, what="view")
+    root = turntable(folder, shape)
+    rig = read_rig(root / "rig.toml")
+    pictures = read_pictures(rig, "images/s1_{camera}.png", folder=root, what="view")
     seconds = []
     # The first run is not counted: what is compiled once. Processors' time does not know what else
     # a machine does; of several threads it is more than the clock's.
     for _ in range(4):
         start = time.process_time()
-        found = stereo_points(prepare_pictures(rig, pictures.grey))
+        cloud = stereo_points(prepare_pictures(rig, pictures.grey))
         seconds.append(time.process_time() - start)
     size = " x ".join(str(side) for side in rig.cameras[0].size or ())
     return Figure(
         DOOR, f"one dense view of the {shape}, {size} x 3, seconds of processors", min(seconds[1:]),
-        "s", note=f"{len(found.point)} points; least of 3, threads: {numba.get_num_threads()}",
+        "s", note=f"{len(cloud.point)} points; least of 3, threads: {numba.get_num_threads()}",
     )  # fmt: skip
 
 
 def measure(options: Options) -> list[Figure]:
-    """Turntables of the half ball and of the toy; the toy's with its poses not told."""
+    """Turntables of the half ball and of the toy; the toy's with unknown poses."""
     folder = MADE / "turntables"
     shapes = ("toy",) if options.quick else tuple(RADIUS)
     figures = [view_figure(folder, shape) for shape in shapes]

@@ -36,20 +36,20 @@ def thinned(session: Session, step: int) -> Session:
     probings = []
     for probing in session.probings:
         field = probing.displacement
-        kept = slice(None, None, step)
+        chosen = slice(None, None, step)
         surface = replace(
             field.surface,
-            triangle=field.surface.triangle[kept],
-            barycentric=field.surface.barycentric[kept],
-            position=field.surface.position[kept],
-            distance=field.surface.distance[kept],
+            triangle=field.surface.triangle[chosen],
+            barycentric=field.surface.barycentric[chosen],
+            position=field.surface.position[chosen],
+            distance=field.surface.distance[chosen],
         )
         fewer = replace(
             field,
-            points=field.points[kept],
-            displacement=field.displacement[kept],
-            std=None if field.std is None else field.std[kept],
-            vertex=None if field.vertex is None else field.vertex[kept],
+            points=field.points[chosen],
+            displacement=field.displacement[chosen],
+            std=None if field.std is None else field.std[chosen],
+            vertex=None if field.vertex is None else field.vertex[chosen],
             surface=surface,
         )
         probings.append(replace(probing, displacement=fewer))

@@ -1,4 +1,4 @@
-"""What errors that probings share do to the constants: known, told, and worse than told.
+"""What errors that probings share do to the constants: known, stated, and worse than stated.
 
 The truth is that of `coverage_of_bodies`, quadratic tetrahedra; what the session tells is wrong in
 one way at a time. Run it with
@@ -10,9 +10,9 @@ FOLDER keeps the true displacements, which take minutes a body. It prints, a bod
 - width: of the interval of E over the width that the same measurement has where nobody errs, with
   every error as uncertain as it is by default, by what measured the forces (`BENCHES`), and how
   often it holds;
-- contact: errors of E and nu where the first contact lies 1.5 mm beside the place that is told:
+- contact: errors of E and nu where the first contact lies 1.5 mm beside the stated place:
   with the default of 0.5 mm as the only uncertain thing, with all defaults, and taken as exact;
-- force: where every force is read 2 % too large, told 1 %, no depth given;
+- force: where every force is read 2 % too large, stated as 1 %, no depth given;
 - scatter: how often the interval of E holds for two probings whose forces are off by so much that
   their constants lie twice as far apart as each of them claims.
 """
@@ -32,7 +32,7 @@ from palpate.pipeline import fit_session
 from palpate.records import EXACT, Estimate, Session
 from palpate.records.error_priors import ErrorPriors
 
-# Beside the place that is told [m], and the gain of a sensor.
+# Beside the stated place [m], and the gain of a sensor.
 BESIDE, GAIN = 1.5e-3, 1.02
 
 
@@ -64,9 +64,9 @@ class Laboratory:
     def __init__(self, body: Measured, folder: Path) -> None:
         self.body, self.cache = body, folder / "integrals"
 
-    def session(self, drawn: ErrorPriors, told: ErrorPriors, seed: int) -> Session:
-        """A session whose errors are drawn from one prior and told as another."""
-        return replace(session(self.body, drawn, NOISE, seed), errors=told)
+    def session(self, drawn: ErrorPriors, stated: ErrorPriors, seed: int) -> Session:
+        """A session whose errors are drawn from one prior and stated as another."""
+        return replace(session(self.body, drawn, NOISE, seed), errors=stated)
 
     def fit(self, session: Session) -> Estimate:
         """Constants."""
@@ -84,7 +84,7 @@ def widths(laboratory: Laboratory, seed: int) -> list[tuple[float, bool]]:
         laboratory.fit(measured_by(session, sensors, seed)) for sensors in BENCHES.values()
     ]
     truth = laboratory.body.truth
-    return [(_width(each) / known, bool(held(each, truth)[2])) for each in estimates]
+    return [(_width(estimate) / known, bool(held(estimate, truth)[2])) for estimate in estimates]
 
 
 def _width(estimate: Estimate) -> float:
@@ -102,13 +102,13 @@ def measured_by(session: Session, sensors: Sequence[Sensor], seed: int) -> Sessi
         force = gains[sensor] * probing.force + std * rng.normal(size=3)
         stds = np.full(3, std)
         probings.append(replace(probing, force=force, force_std=stds, force_sensor=sensor.name))
-    told = {sensor.name: sensor.gain for sensor in sensors}
-    errors = replace(session.errors, force_gains=told)
+    claimed_gains = {sensor.name: sensor.gain for sensor in sensors}
+    errors = replace(session.errors, force_gains=claimed_gains)
     return replace(session, probings=tuple(probings), errors=errors)
 
 
 def misplaced(session: Session, laboratory: Laboratory) -> Session:
-    """The session with its first contact told beside where it is."""
+    """The session with its first contact stated beside where it is."""
     first, *others = session.probings
     pushed = first.force / np.linalg.norm(first.force)
     beside = np.cross(pushed, np.eye(3)[np.argmin(np.abs(pushed))])
@@ -121,7 +121,10 @@ def misplaced(session: Session, laboratory: Laboratory) -> Session:
 def too_strong(session: Session) -> Session:
     """The session with every force read too large."""
     return replace(
-        session, probings=tuple(replace(one, force=GAIN * one.force) for one in session.probings)
+        session,
+        probings=tuple(
+            replace(probing, force=GAIN * probing.force) for probing in session.probings
+        ),
     )
 
 
@@ -130,13 +133,15 @@ def scattered(laboratory: Laboratory, seed: int) -> bool:
     rng = np.random.default_rng([seed, 7])
     whole = laboratory.session(EXACT, EXACT, seed)
     two = [whole.probings[k] for k in rng.choice(len(whole.probings), 2, replace=False)]
-    claims = [laboratory.fit(replace(whole, probings=(one,))) for one in two]
+    claims = [laboratory.fit(replace(whole, probings=(probing,))) for probing in two]
     # Claims add to what the forces do: three variances more make the spread twice as wide.
     off = [
         1.0 + np.sqrt(3.0) * claim.young_modulus.std / claim.young_modulus.value * rng.normal()
         for claim in claims
     ]
-    pair = tuple(replace(one, force=k * one.force) for one, k in zip(two, off, strict=True))
+    pair = tuple(
+        replace(probing, force=k * probing.force) for probing, k in zip(two, off, strict=True)
+    )
     estimate = laboratory.fit(replace(whole, probings=pair))
     return bool(held(estimate, laboratory.body.truth)[2])
 
@@ -144,39 +149,39 @@ def scattered(laboratory: Laboratory, seed: int) -> bool:
 def main() -> None:
     """Print the figures of each body, and what they come to together."""
     folder, count = Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 5
-    found: list[list[tuple[float, bool]]] = []
+    table: list[list[tuple[float, bool]]] = []
     holding: list[bool] = []
     for name in sys.argv[3:] or BODIES:
         body = measured_body(name, folder)
         laboratory = Laboratory(body, folder)
-        found += _width_lines(laboratory, count)
-        told = ErrorPriors()
-        clean = laboratory.session(EXACT, told, 0)
+        table += _width_lines(laboratory, count)
+        priors = ErrorPriors()
+        clean = laboratory.session(EXACT, priors, 0)
         beside = misplaced(clean, laboratory)
-        alone = replace(EXACT, contact_point=told.contact_point)
+        alone = replace(EXACT, contact_point=priors.contact_point)
         rows = {
             "contact alone, 0.5 mm": replace(beside, errors=alone),
-            "contact, told 0.5 mm": beside,
-            "contact, told exact": replace(beside, errors=EXACT),
-            "force 2 %, told 1 %": too_strong(clean),
+            "contact, prior 0.5 mm": beside,
+            "contact, taken as exact": replace(beside, errors=EXACT),
+            "force 2 %, prior 1 %": too_strong(clean),
         }
-        for what, one in rows.items():
-            estimate = laboratory.fit(one)
+        for what, session_of_row in rows.items():
+            estimate = laboratory.fit(session_of_row)
             holds = held(estimate, body.truth)
             print(f"{name:10s} {what:22s}{errors_of(estimate, body.truth)}   holds {holds}")
         holding += [scattered(laboratory, seed) for seed in range(count)]
         print(f"{name:10s} scatter: {sum(holding[-count:])} of {count} hold", flush=True)
-    print(f"together: width {_medians(found)}; scatter {sum(holding)} of {len(holding)} hold")
+    print(f"together: width {_medians(table)}; scatter {sum(holding)} of {len(holding)} hold")
 
 
 def _width_lines(laboratory: Laboratory, count: int) -> list[list[tuple[float, bool]]]:
-    found = [widths(laboratory, seed) for seed in range(count)]
-    print(f"{laboratory.body.name:10s} width {_medians(found)}", flush=True)
-    return found
+    table = [widths(laboratory, seed) for seed in range(count)]
+    print(f"{laboratory.body.name:10s} width {_medians(table)}", flush=True)
+    return table
 
 
-def _medians(found: Sequence[Sequence[tuple[float, bool]]]) -> str:
-    table = np.array(found, dtype=float)
+def _medians(rows: Sequence[Sequence[tuple[float, bool]]]) -> str:
+    table = np.array(rows, dtype=float)
     ratios, holding = np.median(table[:, :, 0], axis=0), table[:, :, 1].sum(axis=0)
     return ", ".join(
         f"{name} {ratio:.2f} ({holds:.0f} of {len(table)} hold)"

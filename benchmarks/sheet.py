@@ -72,8 +72,8 @@ def picture(
     system = np.empty((row.size, 3, 3))
     system[:, :, :2], system[:, :, 2] = moved, -sight.T
     flat = np.linalg.solve(system, np.broadcast_to(right[:, None], (row.size, 3, 1)))[:, :2, 0]
-    place = flat / (DISTANCE / FOCAL / FINE) + 0.5 * np.array(texture.shape[::-1])
-    seen = map_coordinates(texture, place.T[::-1], order=3, mode="mirror")
+    position = flat / (DISTANCE / FOCAL / FINE) + 0.5 * np.array(texture.shape[::-1])
+    seen = map_coordinates(texture, position.T[::-1], order=3, mode="mirror")
     return seen.reshape(SHAPE)
 
 

@@ -70,9 +70,9 @@ class DeformedFace:
         moved = true_displacement()(grid).reshape(x.size, y.size, 3)
         self.splines = [RectBivariateSpline(x, y, moved[:, :, k]) for k in range(3)]
 
-    def __call__(self, place: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+    def __call__(self, point: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
         """Displacement of points of the face; beyond its rim that of the rim."""
-        x, y = np.clip(place, 0.0, SIZE[:2]).T
+        x, y = np.clip(point, 0.0, SIZE[:2]).T
         return np.stack([spline.ev(x, y) for spline in self.splines], axis=1)
 
 
@@ -89,27 +89,27 @@ def picture(
     # Strains of 1 % and tilts of 0.01: every round leaves a fiftieth of the error, 1e-16 m in all.
     for _ in range(1 if face is None else 8):
         depth = (SIZE[2] + moved[:, 2] - eye[2]) / sight[:, 2]
-        place = (eye + depth[:, None] * sight - moved)[:, :2]
+        position = (eye + depth[:, None] * sight - moved)[:, :2]
         if face is not None:
-            moved = face(place)
+            moved = face(position)
     depth = (SIZE[2] + moved[:, 2] - eye[2]) / sight[:, 2]
-    place = (eye + depth[:, None] * sight - moved)[:, :2]
+    position = (eye + depth[:, None] * sight - moved)[:, :2]
     seen = map_coordinates(
-        texture, ((place - 0.5 * SIZE[:2]) * FINE / PIXEL + 0.5 * np.array(texture.shape)).T,
+        texture, ((position - 0.5 * SIZE[:2]) * FINE / PIXEL + 0.5 * np.array(texture.shape)).T,
         order=3, mode="mirror",
     )  # fmt: skip
-    on_sheet = ((place >= 0.0) & (place <= SIZE[:2])).all(axis=1)
+    on_sheet = ((position >= 0.0) & (position <= SIZE[:2])).all(axis=1)
     return np.where(on_sheet, seen, 20.0).reshape(SHAPE)
 
 
 def measured(session: Session, flow: RangeFlow) -> Session:
     """The session with every valid point between the grips as its measurement."""
-    place = flow.point[:, :2]
-    kept = is_valid(flow) & ((place > LOW) & (place < HIGH)).all(axis=1)
-    points = flow.point[kept]
-    std = np.sqrt(np.einsum("nii->ni", flow.covariance[kept]))
+    position = flow.point[:, :2]
+    valid = is_valid(flow) & ((position > LOW) & (position < HIGH)).all(axis=1)
+    points = flow.point[valid]
+    std = np.sqrt(np.einsum("nii->ni", flow.covariance[valid]))
     field = DisplacementField(
-        points, flow.displacement[kept], std, None, closest_points(session.mesh, points), "flow"
+        points, flow.displacement[valid], std, None, closest_points(session.mesh, points), "flow"
     )
     (probing,) = session.probings
     return replace(session, probings=(replace(probing, displacement=field),))
@@ -124,7 +124,7 @@ def repeated(count: int) -> list[Estimate]:
     rig, face = make_rig(), DeformedFace()
     clean = [[picture(camera, texture, moved) for camera in rig.cameras] for moved in (None, face)]
     session = session_of(np.array([[0.05, 0.01, SIZE[2]]]), ErrorPriors())
-    found = []
+    estimates = []
     for _ in range(count):
         begun = time.perf_counter()
         rest, loaded = (
@@ -140,29 +140,29 @@ def repeated(count: int) -> list[Estimate]:
         given = replace(given, probings=(replace(probing, force=force),))
         field = given.probings[0].displacement
         error = field.displacement - face(field.points[:, :2])
-        found.append(fit_session(given).estimate)
+        estimates.append(fit_session(given).estimate)
         rms = ", ".join(f"{value:.2f}" for value in 1e6 * np.sqrt((error**2).mean(axis=0)))
         print(
             f"{len(error)} points, rms error {rms} um; matched in {matched - begun:.0f} s, fitted"
             f" in {time.perf_counter() - matched:.0f} s",
             flush=True,
         )
-    return found
+    return estimates
 
 
 def main(count: int) -> None:
     """Print the constants, their errors and whether the intervals hold them."""
     estimates = repeated(count)
     for name, true in CONSTANTS.items():
-        constants = [getattr(one, name) for one in estimates]
-        held = sum(one.ci95[0] <= true <= one.ci95[1] for one in constants)
-        found = ", ".join(f"{one.value:.5g}" for one in constants)
-        width = np.median([np.ptp(one.ci95) for one in constants])
+        constants = [getattr(estimate, name) for estimate in estimates]
+        held = sum(constant.ci95[0] <= true <= constant.ci95[1] for constant in constants)
+        values = ", ".join(f"{constant.value:.5g}" for constant in constants)
+        width = np.median([np.ptp(constant.ci95) for constant in constants])
         print(
-            f"{name}: true {true:.5g}, found {found}; median width of the interval {width:.2g},"
+            f"{name}: true {true:.5g}, found {values}; median width of the interval {width:.2g},"
             f" holds the truth in {held} of {len(constants)}"
         )
-    print("status: " + ", ".join(sorted({str(one.status) for one in estimates})))
+    print("status: " + ", ".join(sorted({str(estimate.status) for estimate in estimates})))
 
 
 if __name__ == "__main__":

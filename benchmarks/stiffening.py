@@ -61,10 +61,10 @@ def pressed(tool: str, material: str, mesh: str) -> Session:
     free = surface.vertices[:, 2] > 1e-6
     points = surface.vertices[free]
     contact = Contact.under(TOOLS[tool], body.point[0], float(np.ptp(surface.vertices)))
-    place, std = closest_points(surface, points), np.full(3, 1e-3)
+    closest, std = closest_points(surface, points), np.full(3, 1e-3)
     with np.load(STORED / f"{name}-0-{mesh}.npz") as stored:
         moved, forces = stored["displacement"][:, free], stored["force"]
-    fields = [DisplacementField(points, each, None, None, place, "") for each in moved]
+    fields = [DisplacementField(points, field, None, None, closest, "") for field in moved]
     probings = tuple(
         Probing(f"n{k}", contact, force, std, None, None, field, None)
         for k, (force, field) in enumerate(zip(forces, fields, strict=True))
@@ -86,12 +86,16 @@ def fitted(session: Session) -> tuple[FitResult, list[ProbeObservations], list[P
 
     with patch.object(large_strain, "fit", recorded):
         result = fit_session(session, finite_strain=True)
-    told = [
+    telling = [
         probes
         for probes in seen
-        if any(each.is_material for one in probes[0].nuisances for each in one.parameters)
+        if any(
+            parameter.is_material
+            for nuisance in probes[0].nuisances
+            for parameter in nuisance.parameters
+        )
     ]
-    return result, seen[-1], told[-1]
+    return result, seen[-1], telling[-1]
 
 
 def noisy(
@@ -99,8 +103,8 @@ def noisy(
 ) -> list[ProbeObservations]:
     """Observations with noise."""
     return [
-        replace(each, displacement=each.displacement + own)
-        for each, own in zip(observations, noise, strict=True)
+        replace(probe, displacement=probe.displacement + drawn)
+        for probe, drawn in zip(observations, noise, strict=True)
     ]
 
 
@@ -109,26 +113,26 @@ def row(tool: str, name: str, mesh: str) -> dict[str, Any]:
     session, ratio = pressed(tool, name, mesh), pressed_body(f"{tool}_{name}").poisson_ratio
     before = time.perf_counter()
     result, last, telling = fitted(session)
-    seconds, found = time.perf_counter() - before, result.estimate
-    told = estimated_stiffening(fit(telling))
+    seconds, fitted_estimate = time.perf_counter() - before, result.estimate
+    stiffening = estimated_stiffening(fit(telling))
     rng, held, shown, draws = np.random.default_rng(50), np.zeros(3), 0, []
     true = SHEAR_MODULUS, ratio, MATERIALS[name]
-    largest = max(float(np.abs(each.displacement).max()) for each in last)
+    largest = max(float(np.abs(probe.displacement).max()) for probe in last)
     for _ in range(DRAWS):
-        noise = [NOISE * largest * rng.standard_normal(each.displacement.shape) for each in last]
+        noise = [NOISE * largest * rng.standard_normal(probe.displacement.shape) for probe in last]
         estimate = fit(noisy(last, noise)).estimate
-        own = estimated_stiffening(fit(noisy(telling, noise)))
-        shown += is_stiffening(own)
-        constants = estimate.shear_modulus, estimate.poisson_ratio, own
-        draws.append([each.value for each in constants])
+        drawn_stiffening = estimated_stiffening(fit(noisy(telling, noise)))
+        shown += is_stiffening(drawn_stiffening)
+        constants = estimate.shear_modulus, estimate.poisson_ratio, drawn_stiffening
+        draws.append([constant.value for constant in constants])
         held += [a.ci95[0] <= value <= a.ci95[1] for a, value in zip(constants, true, strict=True)]
     rms = np.sqrt(np.mean((np.array(draws) - true) ** 2, axis=0))
     return {
         "tool": tool,
         "material": name,
-        "G off [%]": round(100 * (found.shear_modulus.value / SHEAR_MODULUS - 1), 2),
-        "nu off": round(found.poisson_ratio.value - ratio, 4),
-        "C2/C1 told": round(told.value, 3),
+        "G off [%]": round(100 * (fitted_estimate.shear_modulus.value / SHEAR_MODULUS - 1), 2),
+        "nu off": round(fitted_estimate.poisson_ratio.value - ratio, 4),
+        "C2/C1 told": round(stiffening.value, 3),
         "seconds": round(seconds),
         "draws": DRAWS,
         "called stiffening": shown,

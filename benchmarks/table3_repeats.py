@@ -72,10 +72,10 @@ def evaluated(folders: Sequence[Path], material: Material, campaign: Path) -> li
     """Figures of sessions that repeat each other, each in a folder named by its seed; the campaign
     of their fits is made or gone on with."""
     given = [folder / "session.toml" for folder in folders]
-    found = fitted([*given, *map(misjudged_session, folders)], campaign)
-    estimates, misjudged = found[: len(folders)], found[len(folders) :]
+    every = fitted([*given, *map(misjudged_session, folders)], campaign)
+    estimates, misjudged = every[: len(folders)], every[len(folders) :]
     together, wrong = _repeats(estimates, material), _repeats(misjudged, material)
-    alone = _repeats([probe for each in estimates for probe in each.probes], material)
+    alone = _repeats([probe for estimate in estimates for probe in estimate.probes], material)
     count, singles = len(estimates), len(alone.error)
     note = f"{count} seeds: texture, misalignment, readings and noise anew"
     return [

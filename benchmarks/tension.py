@@ -119,7 +119,7 @@ def drawn(
     return replace(seen, displacement=scale * turn.apply(moved) + noise, force=gain * FORCE)
 
 
-def repeated(count: int, errors: ErrorPriors, say: Callable[[str], None] = print) -> None:
+def repeated(count: int, errors: ErrorPriors, print_line: Callable[[str], None] = print) -> None:
     """Fit as many noisy copies, and tell error and coverage."""
     x = np.linspace(0.015, 0.085, POINTS[0])
     y = np.linspace(0.0015, 0.0185, POINTS[1])
@@ -127,18 +127,21 @@ def repeated(count: int, errors: ErrorPriors, say: Callable[[str], None] = print
     truth, session = true_displacement(), session_of(points, errors)
     seen = observed(session)
     constants = {"shear_modulus": SHEAR, "poisson_ratio": NU, "young_modulus": YOUNG}
-    found = [fit([drawn(seen, truth, errors, seed)]).estimate for seed in range(count)]
-    say(f"{len(session.mesh.vertices)} vertices, {len(points)} points, {count} repeats")
+    estimates = [fit([drawn(seen, truth, errors, seed)]).estimate for seed in range(count)]
+    print_line(f"{len(session.mesh.vertices)} vertices, {len(points)} points, {count} repeats")
     for name, true in constants.items():
-        values = np.array([getattr(one, name).value for one in found])
-        inside = [getattr(one, name).ci95[0] <= true <= getattr(one, name).ci95[1] for one in found]
-        width = np.median([np.ptp(getattr(one, name).ci95) for one in found])
-        say(
+        values = np.array([getattr(estimate, name).value for estimate in estimates])
+        inside = [
+            getattr(estimate, name).ci95[0] <= true <= getattr(estimate, name).ci95[1]
+            for estimate in estimates
+        ]
+        width = np.median([np.ptp(getattr(estimate, name).ci95) for estimate in estimates])
+        print_line(
             f"{name}: true {true:.5g}, mean {values.mean():.5g}, scatter {values.std():.2g},"
             f" median width of the interval {width:.2g}, holds the truth in"
             f" {100 * np.mean(inside):.0f} %"
         )
-    say("status: " + ", ".join(sorted({str(one.status) for one in found})))
+    print_line("status: " + ", ".join(sorted({str(estimate.status) for estimate in estimates})))
 
 
 if __name__ == "__main__":

@@ -89,11 +89,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         out = str(Path(folder) / "result")
         arguments = ["fit", given.session, "--probe", given.probing, "--out", out]
-        found = Trace.of(traced(lambda: run_command(arguments)))
+        trace = Trace.of(traced(lambda: run_command(arguments)))
     print(
-        f"files entered {found.files}, moves between files {found.moves}, between rooms"
-        f" {found.between_rooms}; different moves {found.routes}, between rooms"
-        f" {found.routes_between_rooms}"
+        f"files entered {trace.files}, moves between files {trace.moves}, between rooms"
+        f" {trace.between_rooms}; different moves {trace.routes}, between rooms"
+        f" {trace.routes_between_rooms}"
     )
 
 

@@ -46,7 +46,8 @@ def main() -> float:
         start = perf_counter()
         weights, _ = model.coefficients(nu)
         per_force = sum(
-            one[row] * weight for one, weight in zip(model.directions, weights, strict=True)
+            direction[row] * weight
+            for direction, weight in zip(model.directions, weights, strict=True)
         )
         quick = float(per_force @ FORCE) / SHEAR_MODULUS
         middle = perf_counter()

@@ -29,9 +29,9 @@ def picture(view: Camera, motion: np.ndarray, waves: np.ndarray) -> np.ndarray:
     turn, shift = view.T_camera_object[:3, :3], view.T_camera_object[:3, 3]
     centre = -turn.T @ shift
     ray = pixel @ np.linalg.inv(view.matrix).T @ turn
-    place = centre + ray * ((motion[2] - centre[2]) / ray[..., 2])[..., None] - motion
+    position = centre + ray * ((motion[2] - centre[2]) / ray[..., 2])[..., None] - motion
     # Some hundred waves in all directions, of random phases, are as good as speckles.
-    return 120 + 4 * np.cos(place[..., :2] @ waves[:, :2].T + waves[:, 2]).sum(axis=-1)
+    return 120 + 4 * np.cos(position[..., :2] @ waves[:, :2].T + waves[:, 2]).sum(axis=-1)
 
 
 def main() -> np.ndarray:
@@ -47,12 +47,12 @@ def main() -> np.ndarray:
     state = method.start_on(rig, still, corners, np.array([[0, 1, 2], [0, 2, 3]]))
     _, flow = method.follow(state, moved)
     valid = is_valid(flow)
-    found = np.median(flow.displacement[valid], axis=0)
+    displacement = np.median(flow.displacement[valid], axis=0)
     sigma = np.sqrt(np.median(np.einsum("nii->ni", flow.covariance[valid]), axis=0))
     print(f"{valid.sum()} of {len(valid)} points followed")
-    print(f"truth {1e3 * MOTION} mm, median {np.round(1e3 * found, 4)} mm")
+    print(f"truth {1e3 * MOTION} mm, median {np.round(1e3 * displacement, 4)} mm")
     print(f"one point is known to {np.round(1e6 * sigma, 2)} micrometres (1 sigma)")
-    return found
+    return displacement
 
 
 if __name__ == "__main__":

@@ -37,8 +37,8 @@ def main() -> tuple[float, float]:
     points = mesh.vertices[(height > 0.005) & (away > 2 * pressed.radius)]
     moved = surface_values(solid, points) @ pressed.displacement
     moved += SIGMA * rng.standard_normal(moved.shape)
-    std, place = np.full(points.shape, SIGMA), closest_points(mesh, points)
-    field = DisplacementField(points, moved, std, None, place, "example")
+    std, surface = np.full(points.shape, SIGMA), closest_points(mesh, points)
+    field = DisplacementField(points, moved, std, None, surface, "example")
     contact = Contact.under(Sphere(TIP_RADIUS), pole)
     force = sensor.read(pressed.force, rng=rng)
     sigma = np.full(3, sensor.std(pressed.force))

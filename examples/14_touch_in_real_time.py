@@ -36,8 +36,8 @@ def main() -> float:
     aside = [down[-1] + [a, 0, 0] for a in np.linspace(0, 3e-3, 100)]
     state = start_contact(green, [PlacedTool(ball, top + (RADIUS + 1e-6) * up)])
     begin = 0.0
-    for k, place in enumerate(down + aside):
-        state = touch(green, [PlacedTool(ball, place)], state)
+    for k, position in enumerate(down + aside):
+        state = touch(green, [PlacedTool(ball, position)], state)
         if k == 0:
             begin = time.perf_counter()  # the first call compiles
         if k in (99, 124, 199):

@@ -23,11 +23,11 @@ def main() -> float:
         np.append(0.0, time[seen]), force, np.arange(1, len(force)), np.ones(len(force) - 1),
         np.ones(len(force) - 1), len(force) - 1,
     )  # fmt: skip
-    found = fit_creep([held], shortest=time[0], longest=LAST / 3)
-    relaxation = found.compliance.relaxation()
+    fit = fit_creep([held], shortest=time[0], longest=LAST / 3)
+    relaxation = fit.compliance.relaxation()
     fitted = relaxation.at(time) / relaxation.at(time[seen][-1:]) * modulus[seen][-1]
 
-    print(f"{found.terms} terms; of the modulus at once:")
+    print(f"{fit.terms} terms; of the modulus at once:")
     for part, rest in zip(relaxation.terms, relaxation.times, strict=True):
         print(f"  {100 * part / relaxation.instantaneous:4.1f} % relaxes in {rest:.3g} s")
     print("     t        E  series")

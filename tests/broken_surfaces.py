@@ -149,8 +149,8 @@ def overlapping_ring():
 
 def overlap_volume():
     """Two boxes of 40 x 30 x 20 mm, moved by 20, 10 and 0 mm."""
-    one = 0.04 * 0.03 * 0.02
-    return 2.0 * one - 0.02 * 0.02 * 0.02
+    single = 0.04 * 0.03 * 0.02
+    return 2.0 * single - 0.02 * 0.02 * 0.02
 
 
 def moebius():

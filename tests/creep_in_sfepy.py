@@ -27,11 +27,11 @@ def moved_by_sfepy(folder, *, rise, step, count):
     # One stiffness relaxes as a whole.
     np.testing.assert_array_equal(shares, bulk_shares)
 
-    space, place = _space(nodes, elements)
-    free = np.ones((len(place), 3), dtype=bool)
-    at = cKDTree(place).query(nodes)[1]
+    space, position = _space(nodes, elements)
+    free = np.ones((len(position), 3), dtype=bool)
+    at = cKDTree(position).query(nodes)[1]
     free[at[held]] = False
-    force = np.zeros((len(place), 3))
+    force = np.zeros((len(position), 3))
     np.add.at(force, (at[node.astype(int) - 1], component.astype(int) - 1), size)
     push = json.loads((folder / "replay.json").read_text())
     point, weight = at[push["point_nodes"]], np.array(push["point_shares"])
@@ -39,7 +39,7 @@ def moved_by_sfepy(folder, *, rise, step, count):
     def run(shares, count, rise):
         problem = _Creep(space, young, ratio, shares, times, step, count)
         nodal = problem.solve(force, free, [min(k * step / rise, 1.0) for k in range(count + 1)])
-        return np.array([weight @ each[point] for each in nodal])
+        return np.array([weight @ nodal_motion[point] for nodal_motion in nodal])
 
     return run(shares, count, rise), run(np.zeros_like(shares), 1, step)[-1]
 
@@ -76,10 +76,10 @@ class _Creep:
             # Exact where strain is linear in time over a step; SfePy multiplies by the step.
             decay = np.exp(-step / time)
             size = share * (1.0 - decay) * time / step
-            own = Material(f"term{k}", D=size * stiffness, decay=np.array([[decay]]))
+            material = Material(f"term{k}", D=size * stiffness, decay=np.array([[decay]]))
             terms = terms + Term.new(
                 f"dw_lin_elastic_eth(ts, term{k}.D, term{k}.decay, v, du/dt)", rule, field.region,
-                ts=self.steps, v=v, u=u, **{f"term{k}": own},
+                ts=self.steps, v=v, u=u, **{f"term{k}": material},
             )  # fmt: skip
         self.equations = Equations([Equation("balance", terms)])
         self.problem = Problem("creep", equations=self.equations)

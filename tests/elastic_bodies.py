@@ -53,18 +53,18 @@ def linear_field(gradient: np.ndarray, material: Material) -> KnownField:
     return KnownField(lambda x: x @ gradient.T, lambda x: np.broadcast_to(sigma, (*x.shape, 3)))
 
 
-def point_source(place: np.ndarray, force: np.ndarray, material: Material) -> KnownField:
+def point_source(source: np.ndarray, force: np.ndarray, material: Material) -> KnownField:
     """Kelvin's solution: a point force in unbounded space, written by hand, not by the package."""
     nu, shear = material.poisson, material.shear
     scale = 1 / (16 * np.pi * shear * (1 - nu))
 
     def displacement(x):
-        r = x - place
+        r = x - source
         d = np.linalg.norm(r, axis=-1, keepdims=True)
         return scale * ((3 - 4 * nu) * force / d + r * (r @ force)[..., None] / d**3)
 
     def stress(x):
-        r = x - place
+        r = x - source
         d = np.linalg.norm(r, axis=-1)[..., None, None]
         along = (r @ force)[..., None, None]
         outer = r[..., :, None] * r[..., None, :]

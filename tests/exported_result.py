@@ -23,10 +23,10 @@ RADIUS = 0.014
 SIDE = 0.04
 
 
-def written_result(place, map_of=None):
+def written_result(root, map_of=None):
     """A result folder of a fit of the cube with a second probing that was left out; with the map of
     its modulus, if there is a function that makes one."""
-    folder = cube_session.__wrapped__(place)
+    folder = cube_session.__wrapped__(root)
     text = (folder / "session.toml").read_text().replace("0.006", str(RADIUS))
     again = text[text.index("[[probe]]") :].replace("n01", "n02")
     rows = np.loadtxt(folder / "n01.csv", delimiter=",", skiprows=1)
@@ -35,12 +35,12 @@ def written_result(place, map_of=None):
     np.savetxt(folder / "n02.csv", rows, delimiter=",", header=head, comments="")
     (folder / "session.toml").write_text(text + again)
     session = read_session(folder)
-    with result_folder(place / "result", kind="fit") as result:
+    with result_folder(root / "result", kind="fit") as result:
         write_estimate(result / "estimate.json", sample_result(session).estimate)
         if map_of is not None:
             write_modulus(result / "modulus.npz", map_of(session.mesh))
         record_inputs(result, session_files(folder))
-    return place / "result"
+    return root / "result"
 
 
 def moved_by_calculix(folder):

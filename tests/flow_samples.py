@@ -43,8 +43,8 @@ def sample(*, reject=None, along=(1.0, 0.0, 0.0)):
     """
     mesh, surface = _surface()
     row, column = np.nonzero(surface.triangle >= 0)
-    kept = (row % STEP == 0) & (column % STEP == 0)
-    row, column = row[kept], column[kept]
+    on_grid = (row % STEP == 0) & (column % STEP == 0)
+    row, column = row[on_grid], column[on_grid]
     point = surface.point[row, column]
     moved, outcome = motion(point, along), np.zeros(len(point), dtype=np.int64)
     covariance = np.tile(np.diag(SIGMA**2), (len(point), 1, 1))

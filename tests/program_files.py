@@ -34,8 +34,8 @@ def vic3d_rows() -> np.ndarray:
     """x, y, u, v [px], sigma, X, Y, Z, U, V, W; the failed point has sigma -1 and zeros."""
     pixels = np.arange(16.0).reshape(4, 4)
     sigma = np.where(GOOD, 0.012, -1.0)
-    place = np.where(GOOD[:, None], PLACE, 0.0)
-    return np.column_stack([pixels, sigma, place, MOVE])
+    position = np.where(GOOD[:, None], PLACE, 0.0)
+    return np.column_stack([pixels, sigma, position, MOVE])
 
 
 def dice_values() -> np.ndarray:
@@ -121,8 +121,8 @@ def check_four_points(measured: MeasuredPoints, *, nowhere=False) -> None:
     exact = {"rtol": 0.0, "atol": 1e-16}
     assert list(measured_rows(measured.displacement)) == list(GOOD)
     np.testing.assert_allclose(measured.displacement[GOOD], 1e-3 * MOVE[GOOD], **exact)
-    place = np.where((GOOD | (not nowhere))[:, None], 1e-3 * PLACE, np.nan)
-    np.testing.assert_allclose(measured.points, place, **exact)
+    position = np.where((GOOD | (not nowhere))[:, None], 1e-3 * PLACE, np.nan)
+    np.testing.assert_allclose(measured.points, position, **exact)
 
 
 def dice_gold(path: Path) -> dict[str, np.ndarray]:

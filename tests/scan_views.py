@@ -36,9 +36,9 @@ def camera_at(azimuth, elevation=0.35, distance=0.8, target=(0.0, 0.0, 0.03)):
 
 def seen_points(mesh: TriangleMesh, camera: Camera, rng, *, noise=NOISE):
     """Points in the camera's frame, noisy along their rays."""
-    found = surface_map(camera, SIZE[::-1], mesh.vertices, mesh.triangles)
+    surface = surface_map(camera, SIZE[::-1], mesh.vertices, mesh.triangles)
     pose = camera.T_camera_object
-    points = found.point[found.triangle >= 0] @ pose[:3, :3].T + pose[:3, 3]
+    points = surface.point[surface.triangle >= 0] @ pose[:3, :3].T + pose[:3, 3]
     return points * (1.0 + rng.normal(0.0, noise, len(points)) / points[:, 2])[:, None]
 
 

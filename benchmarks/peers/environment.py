@@ -61,7 +61,7 @@ class Environment:
             run_command([*install, "-c", str(listed), package])
             for package in listed.read_text(encoding="utf-8").split()
         ]
-        return next((each for each in one_by_one if each.returncode == 0), done)
+        return next((attempt for attempt in one_by_one if attempt.returncode == 0), done)
 
 
 def run_command(

@@ -32,11 +32,11 @@ def main() -> None:
     grid = bempp_cl.api.Grid(mesh["vertices"].T, mesh["triangles"].T.astype(np.uint32))
     space = bempp_cl.api.function_space(grid, "P", 1)
     kind = {"assembler": "dense", "device_interface": "numba"}
-    found = {"version": version("bempp-cl")}
+    seconds = {"version": version("bempp-cl")}
     for name in ("single_layer", "double_layer"):
         operator = getattr(laplace, name)
-        found[name] = timed(lambda op=operator: op(space, space, space, **kind), repeats)
-    print(json.dumps(found))
+        seconds[name] = timed(lambda op=operator: op(space, space, space, **kind), repeats)
+    print(json.dumps(seconds))
 
 
 if __name__ == "__main__":

@@ -41,11 +41,11 @@ def speckle_rows(tool: Path, engines: Sequence[str], *, subset: int, make: bool)
     python = str(environment.python)
     # Some programs leave files where they run.
     with tempfile.TemporaryDirectory() as folder:
-        found = Path(folder) / "found.json"
+        file = Path(folder) / "found.json"
         bench = [python, str(tool), "--peers", ",".join(engines), "--subset", str(subset)]
-        done = run_command([*bench, "--json", str(found)], cwd=Path(folder))
+        done = run_command([*bench, "--json", str(file)], cwd=Path(folder))
         if done.returncode:
             return f"the bench stopped: {last_line(done.stderr)}"
-        rows = json.loads(found.read_text(encoding="utf-8"))["rows"]
+        rows = json.loads(file.read_text(encoding="utf-8"))["rows"]
     versions = run_command([python, "-c", VERSIONS, *PROGRAMS])
     return {"versions": json.loads(versions.stdout), "rows": rows}

@@ -57,6 +57,6 @@ def stereo_field(
         done = run_command(command, cwd=Path(folder))
         if done.returncode:
             return f"{PROGRAM} stopped: {last_line(done.stderr)}"
-        found = np.load(Path(folder) / "out" / "run.npz")
-        moved = _MILLI * found["displacement3D"][1:]
-        return found["ref_coords"], _MILLI * found["points3D"][0], moved
+        result = np.load(Path(folder) / "out" / "run.npz")
+        moved = _MILLI * result["displacement3D"][1:]
+        return result["ref_coords"], _MILLI * result["points3D"][0], moved

@@ -82,8 +82,8 @@ def read_rooms(source: Path = SOURCE) -> dict[str, Room]:
 def _fields(docstring: str) -> dict[str, str]:
     """The text of `Purpose    : ...` and its like; a field ends at the next, or at a blank line."""
     pattern = rf"^({'|'.join(FIELDS)})\s*:(.*?)(?=^(?:{'|'.join(FIELDS)})\s*:|^\s*$|\Z)"
-    found = re.findall(pattern, docstring, flags=re.MULTILINE | re.DOTALL)
-    return {name: " ".join(text.split()) for name, text in found}
+    pairs = re.findall(pattern, docstring, flags=re.MULTILINE | re.DOTALL)
+    return {name: " ".join(text.split()) for name, text in pairs}
 
 
 def read_imports(source: Path = SOURCE) -> list[Import]:
@@ -118,17 +118,17 @@ def real_dependencies(rooms: dict[str, Room], imports: list[Import]) -> dict[str
     The ground floor is left out, and so are the files that lie directly in a sub-room's own room.
     A room answers for its sub-rooms too.
     """
-    found: dict[str, set[str]] = {name: set() for name in rooms if name}
-    for each in imports:
-        here, there = room_of(each.importer, rooms), room_of(each.imported, rooms)
+    needs: dict[str, set[str]] = {name: set() for name in rooms if name}
+    for entry in imports:
+        here, there = room_of(entry.importer, rooms), room_of(entry.imported, rooms)
         if not here or not there:
             continue
         if here.split(".")[0] != there.split(".")[0]:
             for name in {here, here.split(".")[0]}:
-                found[name].add(there.split(".")[0])
+                needs[name].add(there.split(".")[0])
         elif here != there and "." in here and "." in there:
-            found[here].add(there)
-    return found
+            needs[here].add(there)
+    return needs
 
 
 def named_dependencies(room: Room) -> set[str]:
@@ -150,7 +150,7 @@ def layers() -> list[list[str]]:
     """
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = settings["tool"]["importlinter"]["contracts"]
-    (house,) = (each for each in contracts if each.get("containers") == ["palpate"])
+    (house,) = (contract for contract in contracts if contract.get("containers") == ["palpate"])
     rows = [re.findall(r"(?<![\w(])\w+(?!\w*\))", line) for line in house["layers"]]
     ground = [name for row in rows for name in row if (SOURCE / f"{name}.py").is_file()]
     return [row for row in rows if not set(row) <= set(ground)] + [ground]
@@ -170,7 +170,7 @@ def draw_map(path: Path, rooms: dict[str, Room], imports: list[Import]) -> None:
     *floors, ground = layers()
     order = [name for row in floors for name in row]
     needs = {name: real_dependencies(rooms, imports)[name] for name in order}
-    height = {name: -float(place) for place, name in enumerate(order)}
+    height = {name: -float(level) for level, name in enumerate(order)}
     style = {"svg.hashsalt": "palpate", "font.family": "DejaVu Sans"}
     with matplotlib.rc_context(style):
         figure = Figure(figsize=(11.7, 0.66 * (len(order) + 2)), layout="constrained")

@@ -33,15 +33,15 @@ def write_part(folder: Path, factor: float, rng: np.random.Generator) -> None:
         np.savetxt(file, table, fmt="%.5f", delimiter=",", header=head, comments="")
 
 
-def main(place: Path) -> None:
+def main(folder: Path) -> None:
     """Write all parts, box by box."""
     rng = np.random.default_rng(4)
     for box, mean in BOXES.items():
         for number in range(1, PARTS + 1):
             factor = mean * np.exp(SCATTER * rng.normal())
             factor *= HARD[2] if (box, number) == HARD[:2] else 1.0
-            write_part(place / box / f"part {number}", factor, rng)
-    broken = place / CUT[0] / f"part {CUT[1]}" / "p2.csv"
+            write_part(folder / box / f"part {number}", factor, rng)
+    broken = folder / CUT[0] / f"part {CUT[1]}" / "p2.csv"
     broken.write_text(broken.read_text()[:2000])
 
 

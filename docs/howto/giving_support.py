@@ -37,8 +37,8 @@ def measured() -> Session:
         moved = (points - [0.01, 0.01, 0.0]) * [NU, NU, -1.0] * force / (AREA * YOUNG)
         moved[:, 2] -= force / (AREA * STIFFNESS)
         moved += NOISE * rng.standard_normal(moved.shape)
-        std, place = np.full_like(moved, NOISE), closest_points(mesh, points)
-        field = DisplacementField(points, moved, std, None, place, f"n{k}.csv")
+        std, surface = np.full_like(moved, NOISE), closest_points(mesh, points)
+        field = DisplacementField(points, moved, std, None, surface, f"n{k}.csv")
         contact = Contact(middle[top].mean(axis=0), None, "uniform", top)
         press, sure = np.array([0.0, 0.0, -force]), np.full(3, 1e-6)
         probings.append(Probing(f"n{k}", contact, press, sure, None, None, field, None))
@@ -53,7 +53,7 @@ def measured() -> Session:
 def main() -> None:
     """Fit three ways, print the constants, draw what moved and the three moduli."""
     rigid = measured()
-    told = replace(rigid, supports=(replace(rigid.supports[0], stiffness=STIFFNESS),))
+    given = replace(rigid, supports=(replace(rigid.supports[0], stiffness=STIFFNESS),))
     unknown = replace(rigid, errors=replace(EXACT, support_compliance=4e-7))
     figure = Figure(figsize=(7.0, 2.8), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.2, 1.0))
@@ -68,7 +68,7 @@ def main() -> None:
     left.plot(1e3 * ends * FORCE / (AREA * YOUNG), ends, color=GREY, linewidth=1.0)
     left.annotate("on a rigid plate", (600, 27.0), (-6, 0), **TO_THE_LEFT, color=GREY)
     left.set(xlabel="down, µm", ylabel="height, mm", xlim=(0, None), ylim=(0, 30))
-    ways = (("taken for rigid", rigid), ("prior", unknown), ("stiffness told", told))
+    ways = (("taken for rigid", rigid), ("prior", unknown), ("stiffness given", given))
     for k, (name, session) in enumerate(ways):
         estimate = fit_session(session).estimate
         young = estimate.young_modulus

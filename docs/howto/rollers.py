@@ -64,8 +64,8 @@ def draw(axes: Axes, mesh: TriangleMesh, moved: np.ndarray, colour: str, title: 
     along = np.abs(np.subtract(*mesh.vertices[edges].transpose(1, 0, 2)))
     edges = edges[np.minimum(along[:, 0], along[:, 2]) < 1e-9]
     for factor, shade, width in ((0.0, GREY, 0.4), (FACTOR, colour, 0.9)):
-        place = 1e3 * (mesh.vertices + factor * moved)[:, [0, 2]]
-        axes.add_collection(LineCollection(list(place[edges]), colors=shade, linewidths=width))
+        position = 1e3 * (mesh.vertices + factor * moved)[:, [0, 2]]
+        axes.add_collection(LineCollection(list(position[edges]), colors=shade, linewidths=width))
     for z in (0.0, 30.0 - 1e3 * FACTOR * DOWN):
         axes.axhline(z, color=INK, linewidth=1.5)
     axes.set(aspect="equal", title=title, xlabel="mm", xlim=(-8, 48), ylim=(-3, 33))

@@ -43,8 +43,8 @@ def walk(green: GreenFunctions, top: np.ndarray) -> tuple[np.ndarray, np.ndarray
     aside = [down[-1] + np.array([a, 0, 0]) for a in np.linspace(0, DRAG, 200)]
     state = start_contact(green, [PlacedTool(ball, top + (RADIUS + 1e-6) * up)])
     rows = []
-    for place in down + aside:
-        state = touch(green, [PlacedTool(ball, place)], state)
+    for position in down + aside:
+        state = touch(green, [PlacedTool(ball, position)], state)
         sigma = np.sqrt(np.diag(force_covariance(green, state)[0]))
         rows.append([*state.tool_force[0], *sigma])
     step = np.linalg.norm(np.diff(down + aside, axis=0), axis=1)

@@ -37,8 +37,10 @@ one_modulus = palpate.fit(fitted, material="homogeneous")
 
 
 def off(model):
-    found = model.predict(kept)
-    return [np.linalg.norm(p.predicted - p.measured) / np.linalg.norm(p.measured) for p in found]
+    predictions = model.predict(kept)
+    return [
+        np.linalg.norm(p.predicted - p.measured) / np.linalg.norm(p.measured) for p in predictions
+    ]
 
 
 print(

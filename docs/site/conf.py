@@ -53,17 +53,17 @@ def _readable(app, what, name, target, options, lines):
     """Docstrings as Sphinx reads them: what follows a type on its line goes to the next, as do the
     lines that go on from there, names in backticks are code, shapes are no emphasis, the fields of
     a room are a list."""
-    found, in_section = [], False
+    readable, in_section = [], False
     for line in lines:
         in_section = in_section or (bool(line) and set(line) == {"-"})
         entry = re.match(r"(\w[\w, ]*(?: : \S.*?)?)  +(\S.*)$", line) if in_section else None
         deep = in_section and line.startswith(" " * 5)
         goes_on = f"    {line.lstrip()}" if deep else line
         parts = [entry[1], f"    {entry[2]}"] if entry else [goes_on]
-        found += [_escaped(part) for part in parts]
+        readable += [_escaped(part) for part in parts]
     if what == "module":
-        found = [re.sub(r"^(\w[\w ]*?) +: ", r":\1: ", line) for line in found]
-    lines[:] = found
+        readable = [re.sub(r"^(\w[\w ]*?) +: ", r":\1: ", line) for line in readable]
+    lines[:] = readable
 
 
 def _skipped(app, what, name, member, skip, options):

@@ -180,16 +180,16 @@ def forms(modules: Sequence[str]) -> dict[Any, str]:
     """What a key holds, found where it is read: by function and key, and by key alone."""
     if missing := readers() - set(READS):
         raise SystemExit(f"no words for these readers of TOML: {missing}")
-    found: dict[Any, str] = {}
+    by_key: dict[Any, str] = {}
     for name in modules:
         module = import_module(name)
         for function in ast.walk(ast.parse(inspect.getsource(module))):
             if not isinstance(function, ast.FunctionDef):
                 continue
             for key, text in _read_keys(module, function):
-                found.setdefault((name, function.name, key), text)
-                found.setdefault(key, text)
-    return found
+                by_key.setdefault((name, function.name, key), text)
+                by_key.setdefault(key, text)
+    return by_key
 
 
 def _read_keys(module: ModuleType, function: ast.FunctionDef) -> Iterator[tuple[str, str]]:
@@ -230,44 +230,44 @@ def meanings(record: str) -> dict[str, str]:
     """What the fields of a record mean, from the lines of its docstring."""
     module, _, name = record.rpartition(".")
     lines = inspect.getdoc(getattr(import_module(module), name)).splitlines()
-    found: dict[str, str] = {}
+    by_field: dict[str, str] = {}
     field = ""
     for line in lines[lines.index("Parameters") + 2 :]:
         heading = re.match(r"(\w[\w, ]*?) : (\S.*?)(?:  +(.*))?$", line)
         if heading:
             field = heading[1]
-            for one in field.split(", "):
-                found[one] = heading[3] or ""
+            for attribute in field.split(", "):
+                by_field[attribute] = heading[3] or ""
         elif line.startswith("    ") and field:
-            for one in field.split(", "):
-                found[one] = f"{found[one]} {line.strip()}".strip()
+            for attribute in field.split(", "):
+                by_field[attribute] = f"{by_field[attribute]} {line.strip()}".strip()
         elif line:
             break
-    return {key: text for key, text in found.items() if text}
+    return {key: text for key, text in by_field.items() if text}
 
 
 def defaults(records: Sequence[str]) -> dict[str, Any]:
     """Numbers that a record has where nothing is said, with their units."""
-    found = {}
+    by_name = {}
     for record in records:
         module, _, name = record.rpartition(".")
         kind = getattr(import_module(module), name)
-        for one in inspect.signature(kind).parameters.values():
-            unit = re.search(rf"^{one.name} : float \[(.*?)\]", inspect.getdoc(kind), re.M)
-            if isinstance(one.default, float) and unit:
-                found[one.name] = f"{one.default:.3g} {unit[1].strip('-')}".strip()
-    return found
+        for parameter in inspect.signature(kind).parameters.values():
+            unit = re.search(rf"^{parameter.name} : float \[(.*?)\]", inspect.getdoc(kind), re.M)
+            if isinstance(parameter.default, float) and unit:
+                by_name[parameter.name] = f"{parameter.default:.3g} {unit[1].strip('-')}".strip()
+    return by_name
 
 
-def rows(table: Table, found: dict[Any, str]) -> Iterator[str]:
+def rows(table: Table, form_of: dict[Any, str]) -> Iterator[str]:
     """The lines of a table of the page."""
     explained: dict[str, str] = {}
     for record in table.records:
         explained = meanings(record) | explained
     standard = defaults(table.records)
     for key in allowed_keys(table):
-        here = found.get((table.module, table.function, key))
-        form = FORMS.get((table.title, key)) or here or FORMS.get(key) or found.get(key)
+        here = form_of.get((table.module, table.function, key))
+        form = FORMS.get((table.title, key)) or here or FORMS.get(key) or form_of.get(key)
         text = WORDS.get((table.title, key)) or WORDS.get(key) or explained.get(key)
         if not form or not text:
             raise SystemExit(f"{table.title}: nothing is known about '{key}': {form}, {text}")
@@ -278,11 +278,13 @@ def rows(table: Table, found: dict[Any, str]) -> Iterator[str]:
 
 def file_section(tables: Sequence[Table]) -> Iterator[str]:
     """All tables of a file."""
-    found = forms(sorted({table.module for table in tables} | {FILES + "session", FILES + "loads"}))
+    form_of = forms(
+        sorted({table.module for table in tables} | {FILES + "session", FILES + "loads"})
+    )
     for table in tables:
         yield f"### {table.title}\n"
         yield "| key | form | meaning |\n| --- | --- | --- |"
-        yield from rows(table, found)
+        yield from rows(table, form_of)
         yield ""
 
 
@@ -302,18 +304,18 @@ def unlisted() -> list[str]:
 def prose(function: Any) -> str:
     """A docstring without its parameters: what a person reads."""
     text = inspect.getdoc(function) or ""
-    kept, skip = [], False
+    remaining, skip = [], False
     lines = text.splitlines()
     for number, line in enumerate(lines):
         after = lines[number + 1] if number + 1 < len(lines) else ""
         if after and set(after) == {"-"}:
             skip = line not in ("Source",)
             if not skip:
-                kept.append("\nSource:")
+                remaining.append("\nSource:")
             continue
         if not skip and not (line and set(line) == {"-"}):
-            kept.append(line)
-    return textwrap.dedent("\n".join(kept)).strip()
+            remaining.append(line)
+    return textwrap.dedent("\n".join(remaining)).strip()
 
 
 def program_sections() -> Iterator[str]:
@@ -426,15 +428,15 @@ def gallery_page() -> str:
             file = (page.parent / target).resolve()
             if file.suffix in (".png", ".svg", ".gif") and file not in shown:
                 shown.add(file)
-                place, source = file.relative_to(DOCS), page.relative_to(DOCS)
+                link, source = file.relative_to(DOCS), page.relative_to(DOCS)
                 named = {page.stem, page.parent.name}
-                (subject,) = [each for each, pages in SUBJECTS.items() if named & set(pages)]
+                (subject,) = [heading for heading, pages in SUBJECTS.items() if named & set(pages)]
                 cards[subject].append(
-                    f'<div class="card">\n\n![{words}]({place})\n\n{words}: [{title}]({source}).\n'
+                    f'<div class="card">\n\n![{words}]({link})\n\n{words}: [{title}]({source}).\n'
                     "\n</div>\n"
                 )
-    for subject, found in cards.items():
-        body = "\n".join(found)
+    for subject, subject_cards in cards.items():
+        body = "\n".join(subject_cards)
         parts.append(f'## {subject}\n\n<div class="cards">\n\n{body}\n</div>\n')
     return "\n".join(parts)
 

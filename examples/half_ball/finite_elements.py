@@ -63,10 +63,10 @@ def half_ball(sides: int, shells: int, order: int, *, radius: float) -> Hexahedr
     x, y, t = np.meshgrid(fine, fine, out, indexing="ij")
     blocks.append(ball_point(np.stack([x, y, np.ones_like(x)], -1), t, radius))
     x, z, t = np.meshgrid(fine, half, out, indexing="ij")
-    one = np.ones_like(x)
+    unity = np.ones_like(x)
     blocks += [
         ball_point(np.stack(sides_of, -1), t, radius)
-        for sides_of in ((x, one, z), (-x, -one, z), (one, -x, z), (-one, x, z))
+        for sides_of in ((x, unity, z), (-x, -unity, z), (unity, -x, z), (-unity, x, z))
     ]
     return merged([as_cells(block, order) for block in blocks], order)
 

@@ -396,7 +396,7 @@ def read_result(
     estimate = replace(source.estimate, notes=(*source.notes, *source.estimate.notes))
     given = replace(source.session, smooth=estimate.settings.get("surface") != "flat")
     shown = pooled(given) if without_pictures(given) else given
-    measured = {each.name: each.displacement for each in shown.probings}
+    measured = {probing.name: probing.displacement for probing in shown.probings}
     for probing in surface.probings:
         field = measured.get(probing.name)
         if field is None or not np.array_equal(field.points, probing.points):
@@ -443,5 +443,5 @@ def _given(session: Session | Path | str, probe: Sequence[str] | None = None) ->
 
 def _check_choice(name: str, given: str, allowed: Sequence[str]) -> None:
     if given not in allowed:
-        choices = ", ".join(f"'{each}'" for each in allowed)
+        choices = ", ".join(f"'{choice}'" for choice in allowed)
         raise InputError(f"{name} is {given!r}; must be one of {choices}")

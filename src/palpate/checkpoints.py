@@ -60,7 +60,7 @@ class Checkpoints:
 
     @property
     def in_memory(self) -> bool:
-        """Whether they are kept in memory."""
+        """True if parts are kept in memory, not in files."""
         return isinstance(self.folder, Memory)
 
     def load_or_make(
@@ -185,7 +185,7 @@ def _as_tree(value: Any, names: Mapping[int, str], arrays: dict[int, np.ndarray]
     if kind is dict:
         return ["dict", [[inner(name), inner(item)] for name, item in value.items()]]
     if kind is csr_array:
-        return ["sparse", [inner(each) for each in (value.data, value.indices, value.indptr)],
+        return ["sparse", [inner(part) for part in (value.data, value.indices, value.indptr)],
                 [int(length) for length in value.shape]]  # fmt: skip
     if isinstance(value, Enum):
         return ["enum", kind.__module__, kind.__qualname__, value.name]
@@ -269,10 +269,10 @@ def _trim(cache: Path) -> None:
             if _PART_NAME.fullmatch(file.name):
                 with suppress(OSError):
                     entries.append((file.stat(), file))
-    total, held = 0, sum(each.st_size for each, _ in entries)
+    total, held = 0, sum(status.st_size for status, _ in entries)
     most = min(_MOST_BYTES, _MOST_FRACTION * (free_disk(cache) + held))
-    for each, file in sorted(entries, key=lambda pair: pair[0].st_mtime, reverse=True):
-        total += each.st_size
+    for status, file in sorted(entries, key=lambda pair: pair[0].st_mtime, reverse=True):
+        total += status.st_size
         if total > most:
             with suppress(OSError):
                 file.unlink()

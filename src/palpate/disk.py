@@ -190,15 +190,15 @@ def created_folder(folder: Path) -> Iterator[None]:
     ------
     RecordError                     the folder cannot be created
     """
-    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         with write_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
         yield
     except BaseException:
-        for each in missing:
+        for path in missing:
             with suppress(OSError):
-                each.rmdir()
+                path.rmdir()
         raise
 
 
@@ -270,8 +270,8 @@ def _clean_up(final: Path) -> None:
             _remove(leftover)
             print_message(f"note: {leftover}: left by an interrupted run, removed")
         elif final.exists():
-            kept = _keep_under_old_name(leftover, final)
-            print_message(f"note: {leftover}: left by an interrupted run, kept as {kept}")
+            old_name = _keep_under_old_name(leftover, final)
+            print_message(f"note: {leftover}: left by an interrupted run, kept as {old_name}")
         else:
             os.rename(leftover, final)
             print_message(f"note: {final}: put back; an interrupted run had left it as {name}")
@@ -282,8 +282,8 @@ def _put_in_place(staged: Path, final: Path, keep_old: Callable[[Path], object])
     if final.is_file():
         shutil.copymode(final, staged)
     if final.exists() and keep_old(final):
-        kept = _keep_under_old_name(final, final)
-        print_message(f"note: {final}: what was there is kept as {kept}")
+        old_name = _keep_under_old_name(final, final)
+        print_message(f"note: {final}: what was there is kept as {old_name}")
     if not final.is_dir():
         os.replace(staged, final)
     elif not _exchange(staged, final):
@@ -306,15 +306,15 @@ def _keep_under_old_name(path: Path, final: Path) -> Path:
 
     A file also keeps its own name, so that it exists at every moment.
     """
-    kept, number = final.with_name(f"{final.name}.old"), 1
-    while os.path.lexists(kept):
+    old_name, number = final.with_name(f"{final.name}.old"), 1
+    while os.path.lexists(old_name):
         number += 1
-        kept = final.with_name(f"{final.name}.old{number}")
+        old_name = final.with_name(f"{final.name}.old{number}")
     if path != final or path.is_dir():
-        os.rename(path, kept)
+        os.rename(path, old_name)
     else:
-        _link_or_copy(path, kept)
-    return kept
+        _link_or_copy(path, old_name)
+    return old_name
 
 
 def _exchange(first: Path, second: Path) -> bool:
@@ -337,8 +337,8 @@ def _link_or_copy(path: Path, other: Path) -> None:
 
 def _sync_all(path: Path) -> None:
     """Flush a file, or a folder and everything in it, to disk."""
-    for each in (*path.rglob("*"), path):
-        _sync(each)
+    for entry in (*path.rglob("*"), path):
+        _sync(entry)
 
 
 def _sync(path: Path) -> None:

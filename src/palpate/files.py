@@ -128,7 +128,7 @@ def read_bytes(
 
 @contextmanager
 def open_own_file(path: Path) -> Iterator[IO[bytes]]:
-    """Open a file that a program of this user wrote: no link, and nobody else's.
+    """Open a file that belongs to this user and is no link.
 
     Parameters
     ----------

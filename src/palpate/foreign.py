@@ -132,7 +132,7 @@ def _serve() -> None:
 
 
 def triangles_of_step(source: Path, target: Path, deviation: float, angle: float) -> bool:
-    """Have OpenCASCADE cover the solids of a STEP file with triangles, in a GLB file.
+    """Triangulate the solids of a STEP file with OpenCASCADE, into a GLB file.
 
     Parameters
     ----------

@@ -125,4 +125,4 @@ def parallel_algebra(rows: int) -> Iterator[None]:
 def _linear_algebra() -> tuple[ThreadpoolController, int]:
     """The libraries in use, and the threads that they began with."""
     controller = ThreadpoolController().select(user_api="blas")
-    return controller, max((each["num_threads"] for each in controller.info()), default=1)
+    return controller, max((library["num_threads"] for library in controller.info()), default=1)

@@ -44,10 +44,10 @@ def test_importing_the_root_loads_nothing():
 
 def test_objects_print_themselves_in_a_few_lines(result):
     session = result.session
-    for one in (session, session.mesh, session.probings[0], session.probings[0].displacement,
+    for shown in (session, session.mesh, session.probings[0], session.probings[0].displacement,
                 result, result.estimate, result.fitted):  # fmt: skip
-        text = repr(one)
-        assert 20 < len(text) < 600, type(one)
+        text = repr(shown)
+        assert 20 < len(text) < 600, type(shown)
         assert text.count("\n") <= 4
     assert "1 probing (n01)" in repr(session)
     assert "169 points, 168 measured" in repr(session.probings[0])
@@ -200,11 +200,11 @@ def test_a_written_result_is_opened_without_fitting(result, tmp_path):
 def test_a_result_whose_session_has_changed_says_so(result, cube_session, tmp_path):
     folder = result.save(tmp_path / "kept")
     table = cube_session / "n01.csv"
-    kept = table.read_text(encoding="utf-8")
-    table.write_text("".join(kept.splitlines(keepends=True)[:-1]), encoding="utf-8")
+    original = table.read_text(encoding="utf-8")
+    table.write_text("".join(original.splitlines(keepends=True)[:-1]), encoding="utf-8")
     with pytest.raises(RecordError, match="'n01' was fitted to other points"):
         palpate.read_result(folder)
-    table.write_text(kept + "\n", encoding="utf-8")
+    table.write_text(original + "\n", encoding="utf-8")
     assert "n01.csv changed" in palpate.read_result(folder).estimate.notes[0]
     with pytest.raises(RecordError, match="is no result of this version"):
         palpate.read_result(cube_session)

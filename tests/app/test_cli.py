@@ -94,8 +94,8 @@ def test_a_signal_ends_with_one_line_and_leaves_nothing(
 ):
     before = signal.getsignal(number)
     monkeypatch.setattr(fit_command, "fit_session", lambda *_, **__: signal.raise_signal(number))
-    found, out, err = palpate("fit", cube_session)
-    assert (found, out) == (code, "")
+    actual, out, err = palpate("fit", cube_session)
+    assert (actual, out) == (code, "")
     assert err == f"palpate: stopped by {number.name}; nothing half done is left\n"
     assert [path.name for path in tmp_path.iterdir()] == ["cube"]
     assert signal.getsignal(number) is before

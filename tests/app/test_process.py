@@ -210,9 +210,9 @@ def test_the_places_are_those_of_the_library(tmp_path, monkeypatch):
     user = tmp_path if sys.platform == "linux" else None
     from numba.misc.appdirs import AppDirs  # noqa: PLC0415
 
-    place = Path(AppDirs(appname="numba", appauthor=False).user_cache_dir)
-    assert user is None or place.parent == user
-    assert place.parent in process._cache_places()
+    library_cache = Path(AppDirs(appname="numba", appauthor=False).user_cache_dir)
+    assert user is None or library_cache.parent == user
+    assert library_cache.parent in process._cache_places()
 
 
 @pytest.mark.parametrize(
@@ -224,10 +224,10 @@ def test_the_places_are_those_of_the_library(tmp_path, monkeypatch):
     ],
 )
 def test_variables_of_libraries_that_mean_nothing(cube_session, variables, says):
-    found = run(cube_session.parent, "fit", "cube", "--out", "made", **variables)
-    assert found.returncode == 2
-    assert says in found.stderr
-    assert "Traceback" not in found.stderr
+    done = run(cube_session.parent, "fit", "cube", "--out", "made", **variables)
+    assert done.returncode == 2
+    assert says in done.stderr
+    assert "Traceback" not in done.stderr
     assert [path.name for path in cube_session.parent.iterdir()] == ["cube"]
 
 
@@ -243,7 +243,7 @@ def test_variables_of_libraries_that_mean_nothing(cube_session, variables, says)
     ids=lambda variables: " ".join(f"{key}={value}" for key, value in variables.items()),
 )
 def test_a_poor_environment_shows_the_same(cube_session, variables):
-    found = run(cube_session.parent, "check", "cube", **variables)
-    assert found.returncode == 0
-    assert found.stderr == ""
-    assert "218, 432" in found.stdout
+    done = run(cube_session.parent, "check", "cube", **variables)
+    assert done.returncode == 0
+    assert done.stderr == ""
+    assert "218, 432" in done.stdout

@@ -17,18 +17,18 @@ POKE = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("place", ["before", "behind"])
-def test_tables_and_sentences_become_one_document(palpate, cube_session, place):
+@pytest.mark.parametrize("position", ["before", "behind"])
+def test_tables_and_sentences_become_one_document(palpate, cube_session, position):
     words = ("check", cube_session)
-    code, out, _ = palpate(*(("--json", *words) if place == "before" else (*words, "--json")))
-    found = json.loads(out)
-    assert (code, found["format"]) == (0, "palpate-output/1")
-    surface, probings = found["tables"]
+    code, out, _ = palpate(*(("--json", *words) if position == "before" else (*words, "--json")))
+    document = json.loads(out)
+    assert (code, document["format"]) == (0, "palpate-output/1")
+    surface, probings = document["tables"]
     assert surface["rows"][0] == {"figure": "vertices, triangles", "value": [218, 432]}
     # Numbers are numbers.
     assert probings["rows"][0]["probing"] == "n01"
     assert probings["rows"][0]["observed"] == 168
-    assert found["sentences"]
+    assert document["sentences"]
 
 
 def test_cells_are_read_as_a_person_reads_them():
@@ -43,8 +43,8 @@ def test_cells_are_read_as_a_person_reads_them():
         "-3e-05",
         "1.9, -9.7, 28",
     )
-    (found,) = table_content("t", columns, [row], "c")["rows"]
-    assert found == {
+    (cells,) = table_content("t", columns, [row], "c")["rows"]
+    assert cells == {
         "name": "12", "count": 12, "value": {"value": 0.30, "std": 0.01},
         "interval": [20.7, 21.3], "lost": None, "words": "5 mm", "minus": -3e-05,
         "place": [1.9, -9.7, 28],

@@ -50,9 +50,9 @@ def test_six_commands_lead_from_recordings_to_constants(
     mesh = read_session(tmp_path / "session").mesh
     # A pixel is 0.7 mm of the object; chords of 9 mm edges leave 0.25 mm.
     np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), [0.08, 0.08, 0.04], atol=1.4e-3)
-    found = json.loads((tmp_path / "result" / "estimate.json").read_text())
-    assert found["status"] in ("ok", "model_contradicted")
-    assert found["settings"]["lengths"]["source"] == "rig_covariance.npz"
+    estimate = json.loads((tmp_path / "result" / "estimate.json").read_text())
+    assert estimate["status"] in ("ok", "model_contradicted")
+    assert estimate["settings"]["lengths"]["source"] == "rig_covariance.npz"
     # Over the seeds E is 54.8 +- 2.5 kPa and nu 0.216 +- 0.007: four deviations about the truth.
-    assert found["young_modulus"]["value"] == pytest.approx(52e3, abs=13e3)
-    assert found["poisson_ratio"]["value"] == pytest.approx(0.21, abs=0.034)
+    assert estimate["young_modulus"]["value"] == pytest.approx(52e3, abs=13e3)
+    assert estimate["poisson_ratio"]["value"] == pytest.approx(0.21, abs=0.034)

@@ -21,9 +21,9 @@ def balls():
 def error(system, nu):
     material = Material(1.0, nu)
     field = point_source(SOURCE, FORCE, material)
-    found, _ = solve_known(system, field, material)
+    displacement, _ = solve_known(system, field, material)
     exact = field.displacement(system.surface.mesh.vertices)
-    return np.linalg.norm(found - exact) / np.linalg.norm(exact)
+    return np.linalg.norm(displacement - exact) / np.linalg.norm(exact)
 
 
 def test_displacement_converges_faster_than_second_order(balls):

@@ -48,12 +48,12 @@ def test_a_linear_field_inside_a_cube(cube, nu):
     material = Material(2.5, nu)
     field = linear_field(GRADIENT, material)
     points = 0.03 + 0.94 * np.random.default_rng(0).random((40, 3))
-    found = values(cube.surface, field, material, points)
+    inside_values = values(cube.surface, field, material, points)
     # The elements hold the field; the integrals are good to 1e-8 and better, the stress loses a
     # length over distance.
-    np.testing.assert_allclose(found.displacement, field.displacement(points), atol=1e-9)
+    np.testing.assert_allclose(inside_values.displacement, field.displacement(points), atol=1e-9)
     size = np.abs(field.stress(points)).max()
-    np.testing.assert_allclose(found.stress, field.stress(points), atol=1e-7 * size)
+    np.testing.assert_allclose(inside_values.stress, field.stress(points), atol=1e-7 * size)
 
 
 @pytest.mark.parametrize("depth", [0.015, 0.05, 0.2])
@@ -64,9 +64,9 @@ def test_close_to_a_face_edge_or_vertex(cube, depth):
     # cube.
     places = np.array([[0.4, 0.55, 0], [0.5, 0.5, 0], [1 / 3, 1 / 3, 0], [0, 0, 0.0]])
     points = places + depth * np.array([[0, 0, 1], [0, 0, 1], [0, 0, 1], [1, 1, 1]])
-    found = values(cube.surface, field, material, points)
-    np.testing.assert_allclose(found.displacement, field.displacement(points), atol=1e-9)
-    np.testing.assert_allclose(found.stress, field.stress(points), atol=1e-7)
+    inside_values = values(cube.surface, field, material, points)
+    np.testing.assert_allclose(inside_values.displacement, field.displacement(points), atol=1e-9)
+    np.testing.assert_allclose(inside_values.stress, field.stress(points), atol=1e-7)
 
 
 def test_curved_fields_converge():
@@ -77,8 +77,8 @@ def test_curved_fields_converge():
     for level in (1, 2, 3):
         mesh = sphere(level)
         low = np.flatnonzero(mesh.vertices[mesh.triangles][:, :, 2].mean(axis=1) < -0.6)
-        found = values(make_surface(mesh, low), field, material, points)
-        errors.append(np.abs(found.stress - field.stress(points)).max())
+        inside_values = values(make_surface(mesh, low), field, material, points)
+        errors.append(np.abs(inside_values.stress - field.stress(points)).max())
     order = -np.polyfit((1, 2, 3), np.log2(errors), 1)[0]
     assert order > 2.5
     assert errors[-1] < 1e-2 * np.abs(field.stress(points)).max()
@@ -129,11 +129,11 @@ def test_stress_is_hookes_of_the_displacement(pressed):
     u = interior_state(elastic_map, load, force, around).displacement.reshape(3, 6, 3)
     gradient = (u[:, :3] - u[:, 3:]).transpose(0, 2, 1) / (2 * step)
     expected = Material(3.0, 0.35).stress(gradient)
-    found = interior_state(elastic_map, load, force, points).stress
+    stress = interior_state(elastic_map, load, force, points).stress
     # Difference of 1e-4: its square times the third derivative, and the integrals' round-off over
     # the step.
-    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
-    np.testing.assert_allclose(found, found.transpose(0, 2, 1), atol=1e-12)
+    np.testing.assert_allclose(stress, expected, atol=1e-5 * np.abs(expected).max())
+    np.testing.assert_allclose(stress, stress.transpose(0, 2, 1), atol=1e-12)
 
 
 @pytest.mark.parametrize("depth", [0.006, 0.02, 0.06, 0.1])
@@ -162,10 +162,10 @@ def test_just_under_the_surface_the_displacement_is_its_own(pressed):
     vertex = int(np.argmin(np.linalg.norm(mesh.vertices - [0.8, 0.6, 1.0], axis=1)))
     (state,) = elastic_map.respond([load], force[None])
     inside = mesh.vertices[[vertex]] - [[0.0, 0.0, 0.012]]
-    found = interior_state(elastic_map, load, force, inside).displacement[0]
+    displacement = interior_state(elastic_map, load, force, inside).displacement[0]
     # 1.2 % of the cube deeper: strain of order one times that.
     scale = np.abs(state.displacement).max()
-    np.testing.assert_allclose(found, state.displacement[vertex], atol=0.02 * scale)
+    np.testing.assert_allclose(displacement, state.displacement[vertex], atol=0.02 * scale)
 
 
 @pytest.mark.parametrize(

@@ -64,17 +64,17 @@ TOLERANCE = dict(zip(RATIOS, (1e-4, 1e-7, 1e-9, 1e-12, 1e-8, 1e-7), strict=True)
 
 @pytest.mark.parametrize("nu", RATIOS)
 def test_solution_at_every_poisson_ratio(problem, model, nu):
-    found, _ = solution(model, nu)
+    solved, _ = solution(model, nu)
     exact = true_solution(problem, nu)
-    error = np.linalg.norm(found - exact, axis=0) / np.linalg.norm(exact, axis=0)
+    error = np.linalg.norm(solved - exact, axis=0) / np.linalg.norm(exact, axis=0)
     assert error.max() < TOLERANCE[nu]
 
 
 def test_the_residual_tells_where_it_is_poor(problem, model):
     for nu in (nu for nu in RATIOS if nu != 0.3):
-        found, residual = solution(model, nu)
+        solved, residual = solution(model, nu)
         exact = true_solution(problem, nu)
-        error = (np.linalg.norm(found - exact, axis=0) / model.scale).max()
+        error = (np.linalg.norm(solved - exact, axis=0) / model.scale).max()
         # Residual and error differ by the condition between two neighbouring matrices, K(nu0)^-1
         # K(nu).
         assert residual > 0.02 * error
@@ -86,10 +86,10 @@ def test_directions_are_added_until_the_whole_range_is_served(problem, model):
     assert len(wide.directions) > len(model.directions)
     # The residual is held under 1e-8; far from the centre the error is up to 50 times as large.
     for nu in (-0.9, -0.4, 0.48):
-        found, residual = solution(wide, nu)
+        solved, residual = solution(wide, nu)
         exact = true_solution(problem, nu)
         assert residual <= 1e-8
-        assert np.abs(found - exact).max() < 5e-7 * np.abs(exact).max()
+        assert np.abs(solved - exact).max() < 5e-7 * np.abs(exact).max()
 
 
 def test_columns_are_solved_for_in_slices(problem, model, monkeypatch):
@@ -106,11 +106,13 @@ def test_no_more_is_kept_than_each_column_needs(problem):
     tolerance = np.full(problem[1].terms.shape[2], DENSE_RESIDUAL)
     tolerance[::2] = 1e-3
     mixed = make_reduced_model(*problem, tolerance=tolerance)
-    kept = [set(each.tolist()) for each in mixed.columns]
-    assert [one.shape[1] for one in mixed.directions] == [len(each) for each in kept]
-    assert kept[0] == set(range(len(tolerance)))
-    assert all(later <= earlier for earlier, later in pairwise(kept))
-    assert kept[-1] <= set(range(1, len(tolerance), 2))
+    column_sets = [set(columns.tolist()) for columns in mixed.columns]
+    assert [direction.shape[1] for direction in mixed.directions] == [
+        len(columns) for columns in column_sets
+    ]
+    assert column_sets[0] == set(range(len(tolerance)))
+    assert all(later <= earlier for earlier, later in pairwise(column_sets))
+    assert column_sets[-1] <= set(range(1, len(tolerance), 2))
 
 
 def test_each_column_has_the_directions_that_it_needs(problem, model):
@@ -120,17 +122,17 @@ def test_each_column_has_the_directions_that_it_needs(problem, model):
     tolerance[::2] = 1e-3
     mixed = make_reduced_model(system, right, tolerance=tolerance)
     every = np.arange(len(tolerance))
-    used = np.array([np.any(one != 0.0, axis=0) for one in mixed.basis(every)]).sum(axis=0)
+    used = np.array([np.any(vectors != 0.0, axis=0) for vectors in mixed.basis(every)]).sum(axis=0)
     assert used[::2].max() < used[1::2].min()
     for nu in (0.0, 0.2, 0.4999):
-        found, _ = solution(mixed, nu)
+        solved, _ = solution(mixed, nu)
         exact = true_solution(problem, nu)
-        error = np.linalg.norm(found - exact, axis=0) / np.linalg.norm(exact, axis=0)
+        error = np.linalg.norm(solved - exact, axis=0) / np.linalg.norm(exact, axis=0)
         residual = mixed.weights(nu)[1]
         # As above: residual and error differ by the condition between two neighbouring matrices.
         assert (residual <= tolerance).all()
         assert (error < 100.0 * tolerance).all()
-        np.testing.assert_allclose(found[:, 1::2], solution(model, nu)[0][:, 1::2], atol=1e-7)
+        np.testing.assert_allclose(solved[:, 1::2], solution(model, nu)[0][:, 1::2], atol=1e-7)
     assert error[::2].max() > 1e-6
 
 
@@ -143,9 +145,9 @@ def test_thin_sheets_are_served_too():
     thin = system, load_right_hand(system, [load])
     model = make_reduced_model(*thin)
     for nu in (0.0, 0.45, 0.4999):
-        found, _ = solution(model, nu)
+        solved, _ = solution(model, nu)
         exact = true_solution(thin, nu)
-        error = np.linalg.norm(found - exact, axis=0) / np.linalg.norm(exact, axis=0)
+        error = np.linalg.norm(solved - exact, axis=0) / np.linalg.norm(exact, axis=0)
         # A sheet's compliance makes up to 1000 times the residual of 1e-8.
         assert error.max() < 1e-5
 
@@ -162,20 +164,20 @@ def test_columns_can_be_asked_for_alone(model):
 
 
 def test_at_the_centre_it_is_the_factorised_solution(problem, model):
-    found, _ = solution(model, 0.3)
-    np.testing.assert_allclose(found, true_solution(problem, 0.3), rtol=1e-9, atol=1e-9)
+    solved, _ = solution(model, 0.3)
+    np.testing.assert_allclose(solved, true_solution(problem, 0.3), rtol=1e-9, atol=1e-9)
 
 
 def test_an_object_that_is_not_held_is_refused():
     """Two balls, only one of them held: the other floats."""
-    one = sphere(1)
-    count = len(one.vertices)
+    ball = sphere(1)
+    count = len(ball.vertices)
     both = TriangleMesh(
-        np.concatenate([one.vertices, one.vertices + np.array([3.0, 0.0, 0.0])]),
-        np.concatenate([one.triangles, one.triangles + count]),
+        np.concatenate([ball.vertices, ball.vertices + np.array([3.0, 0.0, 0.0])]),
+        np.concatenate([ball.triangles, ball.triangles + count]),
     )
     low = both.vertices[both.triangles].mean(axis=1)[:, 2] < -0.3
-    first = np.arange(len(both.triangles)) < len(one.triangles)
+    first = np.arange(len(both.triangles)) < len(ball.triangles)
     load = bump_load(both, np.array([0.0, 0.0, 1.0]), 0.9)
     system = held_part(both, low & first, smooth=False)
     with pytest.raises(SingularSystemError, match="singular"):
@@ -186,21 +188,21 @@ def test_an_object_that_is_not_held_is_refused():
 
 def test_a_reduced_model_is_kept_for_its_loads(problem, tmp_path, monkeypatch):
     system, right = problem
-    kept = replace(system, checkpoints=Checkpoints(tmp_path, "the body"))
-    factors = CentredSystem(kept, CENTRE)
+    cached = replace(system, checkpoints=Checkpoints(tmp_path, "the body"))
+    factors = CentredSystem(cached, CENTRE)
     first = make_reduced_model(factors, right)
     # What the system alone determines serves other loads; factors of one model alone are not kept.
     other = replace(right, terms=2.0 * right.terms)
-    make_reduced_model(kept, other)
+    make_reduced_model(cached, other)
     assert len(list(tmp_path.iterdir())) == 3
     monkeypatch.setattr(module, "solve", None)
-    for read, loads in ((make_reduced_model(CentredSystem(kept, CENTRE), right), 1.0),
-                        (make_reduced_model(kept, other), 2.0)):  # fmt: skip
+    for read, loads in ((make_reduced_model(CentredSystem(cached, CENTRE), right), 1.0),
+                        (make_reduced_model(cached, other), 2.0)):  # fmt: skip
         for nu in RATIOS:
-            found, wanted = solution(read, nu)[0], solution(first, nu)[0]
-            np.testing.assert_array_equal(found, loads * wanted)
+            solved, wanted = solution(read, nu)[0], solution(first, nu)[0]
+            np.testing.assert_array_equal(solved, loads * wanted)
     for changes in ({"tolerance": 1e-5}, {"poisson_range": (0.0, 0.4)}):
         with pytest.raises(TypeError):
-            make_reduced_model(kept, right, **changes)
+            make_reduced_model(cached, right, **changes)
     with pytest.raises(TypeError):
-        make_reduced_model(CentredSystem(kept, CENTRE, single=True), right)
+        make_reduced_model(CentredSystem(cached, CENTRE, single=True), right)

@@ -110,9 +110,9 @@ def test_a_universal_robot(folder):
     (folder / "base.toml").write_text(base)
     keys = 'driver = "universal-robot"\nhost = "10.0.0.9"\nkey = 3\nbase = "base.toml"\n'
     arm = ARM.replace('driver = "straight"\n', keys)
-    found = read(folder, HEAD + CAMERAS + FORCE + arm).arm._arm
-    np.testing.assert_allclose(found.base[:3, 3], [0.3, 0.0, 0.0])
-    assert (found.host, found.key) == ("10.0.0.9", 3)
+    driver = read(folder, HEAD + CAMERAS + FORCE + arm).arm._arm
+    np.testing.assert_allclose(driver.base[:3, 3], [0.3, 0.0, 0.0])
+    assert (driver.host, driver.key) == ("10.0.0.9", 3)
     with pytest.raises(RecordError, match="the key 'key' is missing"):
         read(folder, HEAD + CAMERAS + FORCE + arm.replace("key = 3\n", ""))
 

@@ -19,7 +19,7 @@ class HandPage(Page):
     """The page of a person whose hand does what it says, where it says."""
 
     def __init__(self, bench):
-        super().__init__("ball", port=None, say=lambda _: None)
+        super().__init__("ball", port=None, on_message=lambda _: None)
         self.hand = Hand(bench)
 
     def place(self, point, inward):
@@ -77,8 +77,8 @@ def test_the_whole_way_by_hand(browser, bench, tmp_path):
     assert decided == ["mm", "This is held", "ball", "OK", "Ready", "Ready"]
     assert len(estimate.probes) == 2
     # The flat side that was marked is that of the half ball.
-    found = read_session(session)
-    held = found.mesh.vertices[found.mesh.triangles[found.held_triangles]]
+    written = read_session(session)
+    held = written.mesh.vertices[written.mesh.triangles[written.held_triangles]]
     np.testing.assert_allclose(held[..., 2], 0.0, atol=1e-9)
     # Gone on with, nothing of that is asked again.
     script = Script()

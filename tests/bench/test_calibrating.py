@@ -60,7 +60,7 @@ def test_from_a_board_to_constants(tmp_path):
     further = tmp_path.with_name(f"{tmp_path.name}-2")
     assert any(f"stay in {tmp_path}; {further} begins" in text for text in script.told)
     assert script.told[-1] == f"Session in {further}; a report: palpate fit {further}"
-    assert [len(read_session(each).probings) for each in (tmp_path, further)] == [1, 2]
+    assert [len(read_session(folder).probings) for folder in (tmp_path, further)] == [1, 2]
     rig = read_rig(further / "rig.toml")
     assert off(moved_rig(rig, make_pose(np.eye(3), -shift)), moved.cameras[0]._world) < 0.15
 
@@ -80,9 +80,9 @@ def test_a_calibration_is_gone_on_with_after_a_camera_failed(tmp_path):
     script = Script()
     with pytest.raises(DeviceError):
         calibrate_live(virtual, script, tmp_path)
-    kept = sorted(path.name for path in (tmp_path / "boards" / "c1").iterdir())
+    remaining = sorted(path.name for path in (tmp_path / "boards" / "c1").iterdir())
     # Places of 0.8 s at 15 pictures a second: the sixth was in hand.
-    assert kept == ["01.png", "02.png", "03.png", "04.png", "table.png"]
+    assert remaining == ["01.png", "02.png", "03.png", "04.png", "table.png"]
     # The process ended while a place was being written.
     (tmp_path / "boards" / "c2" / "04.png").unlink()
     calibrate_live(virtual, script, tmp_path)
@@ -107,13 +107,13 @@ def test_a_board_that_moves_is_not_taken(tmp_path):
         return picture(number)
 
     world.picture = anew
-    places = _Places(tmp_path / "boards", BOARD, [one.name for one in virtual.cameras])
+    places = _Places(tmp_path / "boards", BOARD, [device.name for device in virtual.cameras])
     _still_pictures(virtual, Script(), places)
     assert world.time > moves / 15.0 + 0.5
     # With the board still from the beginning it takes half a second.
     moves, world.time, camera._last = 0, 0.0, -1.0
-    for one in virtual.cameras:
-        one._last = -1.0
+    for device in virtual.cameras:
+        device._last = -1.0
     _still_pictures(virtual, Script(), places)
     assert world.time < 0.7
 
@@ -133,16 +133,16 @@ def test_a_board_that_nobody_described_is_asked_for(tmp_path, monkeypatch):
         ("chessboard", ["2 6 20mm", "9 6 20mm"], Chessboard(9, 6, 0.02)),
     ):
         script = Asked(("What kind", kind), *(("Columns", answer) for answer in answers))
-        found = []
+        seen_boards = []
 
-        def places(self, _folder, board, _cameras, found=found):
-            found.append(board)
+        def places(self, _folder, board, _cameras, seen_boards=seen_boards):
+            seen_boards.append(board)
 
         monkeypatch.setattr("palpate.bench.calibrating._Places.__init__", places)
         monkeypatch.setattr("palpate.bench.calibrating._Places.has_table", False)
         with pytest.raises(Enough):
             calibrate_live(virtual, script, tmp_path)
-        np.testing.assert_allclose(found[0].points, board.points)
+        np.testing.assert_allclose(seen_boards[0].points, board.points)
         assert len(script.told) == len(answers) - 1
         assert all(text.startswith("answer: board") for text in script.told), script.told
 

@@ -161,9 +161,9 @@ def table(tmp_path):
         with path.open("a") as file:
             file.write("0.1,-1.5\n0.2,1.5")
             file.flush()
-            found = read()
+            readings = read()
             file.write("\n")
-        return found
+        return readings
 
     gauge.read = fed
     yield gauge
@@ -349,9 +349,9 @@ def test_laws_of_arms(make):
     arm = make()
     assert isinstance(arm, Arm)
     arm.start()
-    for place in ([0.0, 0.0, 0.09], [0.01, 0.0, 0.08]):
-        arm.move(np.array(place), DOWN, 0.005)
-        np.testing.assert_allclose(arm.pose(), place, atol=1e-12)
+    for position in ([0.0, 0.0, 0.09], [0.01, 0.0, 0.08]):
+        arm.move(np.array(position), DOWN, 0.005)
+        np.testing.assert_allclose(arm.pose(), position, atol=1e-12)
     arm.stop()
     arm.close()
     arm.close()
@@ -365,8 +365,8 @@ def test_a_virtual_tool_presses_only_where_it_is():
     bench.arm.move(np.array([0.0, 0.0, 0.039]), DOWN, 0.008)
     # Two standard deviations of the place are 1 mm: it presses by now, by 0.1 N or more.
     assert gauge.read()[1][-1] > 0.3
-    for place in ([0.0, -0.08, 0.04], [0.0, -0.06, 0.02]):
-        bench.arm.move(np.array(place), np.array([0.0, 1.0, 0.0]), 0.008)
+    for position in ([0.0, -0.08, 0.04], [0.0, -0.06, 0.02]):
+        bench.arm.move(np.array(position), np.array([0.0, 1.0, 0.0]), 0.008)
     world.wait(0.5)
     # The weight of the tool, with noise of 1 mN.
     assert gauge.read()[1][-40:].mean() == pytest.approx(0.2, abs=1e-3)
@@ -374,10 +374,10 @@ def test_a_virtual_tool_presses_only_where_it_is():
 
 
 def test_the_planner_keeps_the_limits():
-    place = np.array([0.0, 0.0, 0.05])
-    check_push(limits(), place, DOWN, clearance=0.005, force=1.0)
+    point = np.array([0.0, 0.0, 0.05])
+    check_push(limits(), point, DOWN, clearance=0.005, force=1.0)
     with pytest.raises(InputError, match="a push of 3 N is asked for; the arm may press with 2 N"):
-        check_push(limits(), place, DOWN, clearance=0.005, force=3.0)
+        check_push(limits(), point, DOWN, clearance=0.005, force=3.0)
     with pytest.raises(InputError, match="out of the box from"):
         check_push(limits(), np.array([0.0, 0.0, 0.198]), DOWN, clearance=0.005, force=1.0)
 
@@ -392,14 +392,14 @@ def test_the_planner_keeps_the_limits():
     ],
 )
 def test_the_driver_keeps_the_limits(depth, speed, force, words):
-    arm, place = Straight(), np.array([0.0, 0.0, 0.05])
+    arm, point = Straight(), np.array([0.0, 0.0, 0.05])
     guard = GuardedArm(arm, limits())
-    guard.press_at(place, DOWN)
+    guard.press_at(point, DOWN)
     guard.felt(force)
     before = arm.position
     with pytest.raises(DeviceError, match=words):
-        guard.move(place + depth * DOWN, DOWN, speed)
+        guard.move(point + depth * DOWN, DOWN, speed)
     assert arm.stopped == 1
     np.testing.assert_array_equal(arm.position, before)
     # Away from the object it may go whatever the gauge reads.
-    guard.move(place - 0.06 * DOWN, DOWN, 0.01)
+    guard.move(point - 0.06 * DOWN, DOWN, 0.01)

@@ -158,8 +158,8 @@ def test_a_push_that_cannot_be_fitted_is_taken_out_again(tmp_path, monkeypatch):
         fits.append(1)
         if len(fits) == 1:
             raise InputError("probing 'n01': the tool is buried")
-        found = fit(self, *arguments, **options)
-        return replace(found, estimate=replace(found.estimate, notes=(other, deep)))
+        result = fit(self, *arguments, **options)
+        return replace(result, estimate=replace(result.estimate, notes=(other, deep)))
 
     monkeypatch.setattr(LiveSession, "fit", failing)
     script = Script()

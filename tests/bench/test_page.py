@@ -36,23 +36,25 @@ class Gui(Controls):
 
     def open_button(self, label):
         """That button, once it is there."""
-        found = []
+        buttons = []
 
         def there():
-            found[:] = [
-                one for one in self.of_kind("button") if one.label == label and not one.closed
+            buttons[:] = [
+                button
+                for button in self.of_kind("button")
+                if button.label == label and not button.closed
             ]
-            return found
+            return buttons
 
         until(there, patience=10.0)
-        return found[-1]
+        return buttons[-1]
 
 
 @pytest.fixture
 def page(monkeypatch):
     server = MagicMock(gui=Gui())
     monkeypatch.setattr("palpate.bench.page.open_server", lambda *_: (server, "address"))
-    made = Page("ball", port=None, say=lambda _: None)
+    made = Page("ball", port=None, on_message=lambda _: None)
     made.gui = server.gui
     return made
 
@@ -78,7 +80,9 @@ def test_an_answer_is_the_button_that_was_pressed(page, asking):
     page.gui.open_button("mm")
     page.gui.open_button("cm").click()
     assert answer.result() == "cm"
-    assert all(one.closed for one in page.gui.of_kind("button") if one.label in ("mm", "cm"))
+    assert all(
+        button.closed for button in page.gui.of_kind("button") if button.label in ("mm", "cm")
+    )
 
 
 @pytest.mark.parametrize(("typed", "answer"), [(None, "6"), (" 46 g ", "46 g"), ("", "6")])
@@ -203,7 +207,7 @@ def test_a_ring_is_where_to_press(seen):
     rig, pictures = seen
     camera, tile = rig.cameras[0], 320
     for inward, colour in ((DOWN, (213, 94, 0)), (-DOWN, (138, 143, 152))):
-        sheet = montage("abc", pictures, rig, place=(TOP, inward))
+        sheet = montage("abc", pictures, rig, target=(TOP, inward))
         scale = tile / pictures[0].shape[1]
         x, y = scale * (project(camera, TOP[None])[0] + 0.5)
         assert tuple(sheet[round(y), round(x - 21)]) == colour

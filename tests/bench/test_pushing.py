@@ -173,8 +173,8 @@ def test_an_arm_goes_to_the_far_side(monkeypatch):
     """From one side of the half ball to the other: outward there is deep along the new normal."""
     bench, there = drawn_bench(), []
 
-    def press(arm, watch, place, inward, wanted):
-        there.append(arm.pose() - (place - arm.limits.depth * inward))
+    def press(arm, watch, point, inward, wanted):
+        there.append(arm.pose() - (point - arm.limits.depth * inward))
         raise PushError("it is there")
 
     monkeypatch.setattr("palpate.bench.pushing._press", press)
@@ -226,9 +226,9 @@ def _readings(change):
 def test_devices_that_go_wrong_in_a_push(change, error, words):
     bench = drawn_bench()
     change(bench)
-    place = np.array([0.0, 0.0, 0.04])
+    point = np.array([0.0, 0.0, 0.04])
     with pytest.raises(error, match=words):
-        take_push(bench, Script(), bench.cameras[0]._world.config.specimen.mesh, place, DOWN)
+        take_push(bench, Script(), bench.cameras[0]._world.config.specimen.mesh, point, DOWN)
 
 
 @pytest.mark.slow

@@ -75,8 +75,8 @@ def test_an_object_without_a_mesh_is_turned_and_measured(tmp_path):
     # centimetre square, and chords of triangles of 3 mm.
     seen = mesh.vertices[:, 2] > 0.04
     assert np.quantile(distances(mesh.vertices[seen], truth), 0.9) < 3e-4
-    found = read_rig(folder / "rig.toml")
-    for a, b in zip(found.cameras, world.rig.cameras, strict=True):
+    rig = read_rig(folder / "rig.toml")
+    for a, b in zip(rig.cameras, world.rig.cameras, strict=True):
         gap = project(a, truth.vertices) - project(b, truth.vertices)
         # The mesh is in the frame of the board's place, and nobody dragged it: as well known as
         # the board's corners, some tenths of a pixel.

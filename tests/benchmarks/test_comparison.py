@@ -16,9 +16,9 @@ from palpate.records import EXACT
 
 def test_the_page_has_the_table_of_the_data():
     with TABLE.open(newline="", encoding="utf-8") as file:
-        found = lines(list(csv.DictReader(file)))
+        table = lines(list(csv.DictReader(file)))
     page = (ROOT / "docs" / "comparison.md").read_text(encoding="utf-8")
-    assert "\n".join(found) in page
+    assert "\n".join(table) in page
 
 
 def test_virtual_fields_of_a_uniform_strain_are_exact(monkeypatch):

@@ -11,9 +11,9 @@ MACHINE = {"date": "2026-12-01", "commit": "0123abcd", "processor": "a processor
 
 
 def test_headlines_are_twenty_rows_that_there_are():
-    headlines = [each for rows in HEADLINES.values() for each in rows]
-    names = [each.what for each in headlines]
-    names += [a[1] for each in headlines for a in each.beside if not isinstance(a, str)]
+    headlines = [headline for rows in HEADLINES.values() for headline in rows]
+    names = [headline.what for headline in headlines]
+    names += [a[1] for headline in headlines for a in headline.beside if not isinstance(a, str)]
     assert len(headlines) <= 20
     assert set(names) - {row["what"] for row in read_rows(FIGURES)} == set()
 
@@ -30,8 +30,8 @@ def test_a_part_replaces_its_own_rows_only(tmp_path):
     write_part(file, "door", [Figure(BEM, "other, and a comma", 2.34567, "s", "how")], MACHINE)
     stopped = Figure(NOT_MEASURED, "cube", None, note="it stopped")
     write_part(file, "model", [Figure(BEM, "new", 1234.5), stopped], MACHINE)
-    found = [(row["part"], row["what"], row["figure"]) for row in read_rows(file)]
-    assert found == [
+    rows = [(row["part"], row["what"], row["figure"]) for row in read_rows(file)]
+    assert rows == [
         ("door", "other, and a comma", "2.35"),
         ("model", "new", "1234"),
         ("model", "cube", ""),
@@ -58,6 +58,6 @@ def test_plots_of_the_same_figures_are_the_same_bytes(tmp_path):
     for name in ("one", "other"):
         draw_plots(FIGURES, tmp_path / name)
     for plot in ("correlation.svg", "coverage.svg"):
-        one, other = ((tmp_path / name / plot).read_bytes() for name in ("one", "other"))
-        assert one == other
+        first, other = ((tmp_path / name / plot).read_bytes() for name in ("one", "other"))
+        assert first == other
         assert (ROOT / "benchmarks" / "plots" / plot).exists()

@@ -35,22 +35,22 @@ def _spoilt(camera):
 def test_exact_pixels_give_the_camera_back():
     camera, points = make_camera(lens=LENS), _points()
     pixels = project(camera, points)
-    found = resected(_spoilt(camera), points, pixels, terms=("k1", "k2", "p1", "p2"))
+    fitted = resected(_spoilt(camera), points, pixels, terms=("k1", "k2", "p1", "p2"))
     # The stop of the least squares, 1e-12 of the unknowns' scales.
-    np.testing.assert_allclose(found.residual, 0.0, atol=1e-6)
-    np.testing.assert_allclose(found.camera.matrix, camera.matrix, rtol=1e-6, atol=1e-4)
-    np.testing.assert_allclose(found.camera.distortion, camera.distortion, atol=1e-5)
-    np.testing.assert_allclose(found.camera.T_camera_object, camera.T_camera_object, atol=1e-7)
-    assert found.camera.name == camera.name
-    assert found.camera.size == camera.size
+    np.testing.assert_allclose(fitted.residual, 0.0, atol=1e-6)
+    np.testing.assert_allclose(fitted.camera.matrix, camera.matrix, rtol=1e-6, atol=1e-4)
+    np.testing.assert_allclose(fitted.camera.distortion, camera.distortion, atol=1e-5)
+    np.testing.assert_allclose(fitted.camera.T_camera_object, camera.T_camera_object, atol=1e-7)
+    assert fitted.camera.name == camera.name
+    assert fitted.camera.size == camera.size
 
 
 def test_residual_of_noise_is_the_noise_less_the_unknowns():
     camera, points = make_camera(lens=LENS[:2]), _points(500)
     noise = np.random.default_rng(1).normal(0.0, 0.2, (500, 2))
-    found = resected(_spoilt(camera), points, project(camera, points) + noise)
+    fitted = resected(_spoilt(camera), points, project(camera, points) + noise)
     # 1000 coordinates, 13 unknowns; a variance from 1000 has a relative sd of 4.5 %.
-    assert np.mean(found.residual**2) == pytest.approx(0.04 * (1 - 13 / 1000), rel=0.12)
+    assert np.mean(fitted.residual**2) == pytest.approx(0.04 * (1 - 13 / 1000), rel=0.12)
 
 
 def test_real_object_shows_the_lens_that_its_transformation_lacks(shared_data):
@@ -61,11 +61,11 @@ def test_real_object_shows_the_lens_that_its_transformation_lacks(shared_data):
     control = read_control_points(folder / "calibrationObjectImages")
     for camera, known in zip(rig.cameras, control, strict=True):
         before = project(camera, known[0]) - known[1]
-        found = resected(camera, *known)
+        resection = resected(camera, *known)
         # Centroids of printed dots are good to a quarter of a pixel.
-        assert np.sqrt(np.mean(found.residual**2)) < 0.27
+        assert np.sqrt(np.mean(resection.residual**2)) < 0.27
         assert np.sqrt(np.mean(before**2)) > 2.0
-        cameras.append(found.camera)
+        cameras.append(resection.camera)
     with h5py.File(folder / "speckledObjectImages" / "DIC2DpairResults_C_201_C_202.mat") as file:
         places = [np.array(file[key]).T - 1.0 for key in file["DIC2DpairResults/Points"][0]]
     fitted = Rig(tuple(cameras), 0, "here")
@@ -76,8 +76,8 @@ def test_real_object_shows_the_lens_that_its_transformation_lacks(shared_data):
         assert (left < [3e-6, 4e-6, 13e-6]).all()
 
 
-def _rigid_residual(one, other):
-    a, b = one - one.mean(axis=0), other - other.mean(axis=0)
+def _rigid_residual(points, other):
+    a, b = points - points.mean(axis=0), other - other.mean(axis=0)
     u, _, v = np.linalg.svd(a.T @ b)
     turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
     return (b - a @ turn).std(axis=0)

@@ -17,9 +17,9 @@ def test_a_campaign_estimates_what_plain_fits_do(cube_session, tmp_path):
     expected = fit_session(read_session(file)).estimate
     # Rounding, times the condition of the model.
     for name in ("poisson_ratio", "young_modulus"):
-        one, other = getattr(estimate, name), getattr(expected, name)
-        assert one.value == pytest.approx(other.value, rel=1e-6)
-        assert one.ci95 == pytest.approx(other.ci95, rel=1e-5, nan_ok=True)
+        constant, other = getattr(estimate, name), getattr(expected, name)
+        assert constant.value == pytest.approx(other.value, rel=1e-6)
+        assert constant.ci95 == pytest.approx(other.ci95, rel=1e-5, nan_ok=True)
     assert len(estimate.probes) == len(expected.probes) == 1
 
 

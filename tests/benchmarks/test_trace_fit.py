@@ -17,10 +17,10 @@ def test_functions_are_listed_in_order_and_those_of_others_are_not():
 
 
 def test_moves_are_neighbours_in_different_files_and_rooms():
-    found = Trace.of(["a/x.py", "a/x.py", "a/y.py", "b/z.py", "errors.py", "threads.py", "b/z.py"])
+    trace = Trace.of(["a/x.py", "a/x.py", "a/y.py", "b/z.py", "errors.py", "threads.py", "b/z.py"])
     # x to y, y to z, z to errors, errors to threads, threads to z; the ground floor is one room.
-    assert (found.files, found.moves, found.between_rooms) == (5, 5, 3)
-    assert (found.routes, found.routes_between_rooms) == (5, 3)
+    assert (trace.files, trace.moves, trace.between_rooms) == (5, 5, 3)
+    assert (trace.routes, trace.routes_between_rooms) == (5, 3)
     # There and back, twice.
     assert Trace.of(["a/x.py", "b/z.py"] * 2 + ["a/x.py"]) == Trace(2, 4, 4, 2, 2)
 

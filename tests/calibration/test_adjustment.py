@@ -31,8 +31,8 @@ def test_pixels_are_those_of_the_camera_model() -> None:
         "c", SIZE, camera_matrix(truth.intrinsics[1, :4]), truth.intrinsics[1, 4:], truth.camera[1]
     )
     points = rng.uniform(-0.05, 0.05, (50, 3)) + np.array([0.0, 0.0, 0.3])
-    place = points @ truth.camera[1, :3, :3].T + truth.camera[1, :3, 3]
-    pixel, _, _ = seen_points(truth.intrinsics[1], place)
+    position = points @ truth.camera[1, :3, :3].T + truth.camera[1, :3, 3]
+    pixel, _, _ = seen_points(truth.intrinsics[1], position)
     np.testing.assert_allclose(pixel, project(camera, points), atol=1e-9)
 
 
@@ -59,11 +59,13 @@ def test_exact_corners_give_the_rig() -> None:
     rng = np.random.default_rng(2)
     truth = true_bundle(rng, cameras=2, views=8)
     corners = seen_corners(truth, board_points(), rng, noise=0.0)
-    found = adjust(_start(truth, rng), corners)
+    adjusted = adjust(_start(truth, rng), corners)
     # The last step is short against the noise, which is none: 1e-9 px.
-    assert np.abs(found.residual).max() < 1e-6
-    np.testing.assert_allclose(found.bundle.intrinsics[:, :4], truth.intrinsics[:, :4], rtol=1e-7)
-    np.testing.assert_allclose(found.bundle.camera, truth.camera, atol=1e-8)
+    assert np.abs(adjusted.residual).max() < 1e-6
+    np.testing.assert_allclose(
+        adjusted.bundle.intrinsics[:, :4], truth.intrinsics[:, :4], rtol=1e-7
+    )
+    np.testing.assert_allclose(adjusted.bundle.camera, truth.camera, atol=1e-8)
 
 
 def _adjusted(seed: int, **options: int) -> tuple[Adjusted, Bundle, Corners]:
@@ -77,10 +79,10 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
     """Mean of the squared error in its own metric: chi-squared over its degrees of freedom."""
     ratios = []
     for seed in range(6):
-        found, truth, _ = _adjusted(seed, cameras=2, views=10)
-        error = bundle_errors(found.bundle, truth)
-        ratios.append(error @ np.linalg.solve(found.covariance, error) / len(error))
-        np.testing.assert_allclose(found.noise, 0.1, rtol=0.1)
+        adjusted, truth, _ = _adjusted(seed, cameras=2, views=10)
+        error = bundle_errors(adjusted.bundle, truth)
+        ratios.append(error @ np.linalg.solve(adjusted.covariance, error) / len(error))
+        np.testing.assert_allclose(adjusted.noise, 0.1, rtol=0.1)
     # 6 x 84 degrees of freedom: a standard deviation of sqrt(2 / 504) = 0.063.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.25)
 
@@ -94,11 +96,11 @@ def test_gross_errors_have_no_say() -> None:
         wrong[:, None], rng.uniform(5.0, 20.0, corners.pixel.shape), 0.0
     )
     spoiled = Corners(corners.camera, corners.view, corners.point, pixel)
-    found = adjust(_start(truth, rng), spoiled)
-    assert not found.good[wrong].any()
+    adjusted = adjust(_start(truth, rng), spoiled)
+    assert not adjusted.good[wrong].any()
     # One in a million of the others.
-    assert found.good[~wrong].mean() > 0.995
-    np.testing.assert_allclose(found.noise, 0.1, rtol=0.15)
+    assert adjusted.good[~wrong].mean() > 0.995
+    np.testing.assert_allclose(adjusted.noise, 0.1, rtol=0.15)
 
 
 def test_boards_that_all_face_the_camera_are_refused() -> None:

@@ -73,10 +73,10 @@ def test_a_blurred_picture_is_named_and_left_out(tmp_path: Path) -> None:
         )  # fmt: skip
         moved = cv2.blur(picture, (12, 1)) if v == 3 else picture
         cv2.imwrite(str(tmp_path / "c0" / f"{v:02d}.png"), moved)
-    found = find_boards(find_pictures(tmp_path), [board])
-    assert found.views == ("00", "01", "02", "04", "05")
-    assert len(found.notes) == 1
-    assert "03.png: no board found, or blurred: its edges are" in found.notes[0]
+    seen = find_boards(find_pictures(tmp_path), [board])
+    assert seen.views == ("00", "01", "02", "04", "05")
+    assert len(seen.notes) == 1
+    assert "03.png: no board found, or blurred: its edges are" in seen.notes[0]
 
 
 def test_a_camera_whose_folder_is_empty_is_left_out_and_said(tmp_path: Path) -> None:
@@ -89,19 +89,19 @@ def test_a_camera_whose_folder_is_empty_is_left_out_and_said(tmp_path: Path) -> 
     with pytest.raises(RecordError, match="has no pictures"):
         find_pictures(tmp_path)
     cv2.imwrite(str(tmp_path / "c0" / "01.png"), drawn)
-    found = find_boards(find_pictures(tmp_path), [board])
-    assert found.cameras == ("c0",)
-    assert found.views == ("01",)
-    assert len(found.notes) == 2
-    for note, camera in zip(found.notes, ("c1", "c2"), strict=True):
+    seen = find_boards(find_pictures(tmp_path), [board])
+    assert seen.cameras == ("c0",)
+    assert seen.views == ("01",)
+    assert len(seen.notes) == 2
+    for note, camera in zip(seen.notes, ("c1", "c2"), strict=True):
         assert f"camera '{camera}': its folder has no pictures (.png" in note
 
 
 def test_swapped_pictures_of_one_view_are_named() -> None:
-    found, truth = _found(1)
-    camera = found.corners.camera
-    swapped = np.where(found.corners.view == 5, 1 - camera, camera)
-    made = calibrate(replace(found, corners=replace(found.corners, camera=swapped)), [_BOARD])
+    seen, truth = _found(1)
+    camera = seen.corners.camera
+    swapped = np.where(seen.corners.view == 5, 1 - camera, camera)
+    made = calibrate(replace(seen, corners=replace(seen.corners, camera=swapped)), [_BOARD])
     assert len(made.notes) == 1
     assert "view '05'" in made.notes[0]
     assert "'c0' and 'c1' look swapped" in made.notes[0]
@@ -110,60 +110,60 @@ def test_swapped_pictures_of_one_view_are_named() -> None:
 
 def test_views_that_are_alike_say_which_tilts_are_missing() -> None:
     """All of them face the cameras: nothing tells the focal length."""
-    found, _ = _found(2, tilts=0.0)
+    seen, _ = _found(2, tilts=0.0)
     with pytest.raises(CalibrationError, match="too alike") as caught:
-        calibrate(found, [_BOARD])
+        calibrate(seen, [_BOARD])
     assert "to the right, to the left, up, down" in str(caught.value)
 
 
 def test_a_board_of_another_size_is_told_by_the_baseline() -> None:
     """A board printed at 97 % was said to be whole: the cameras seem 3 % farther apart."""
-    found, truth = _found(3)
-    made = calibrate(found, [_BOARD])
+    seen, truth = _found(3)
+    made = calibrate(seen, [_BOARD])
     true = float(np.linalg.norm(truth.camera[1, :3, 3]))
     assert "mm apart by the boards" in baseline_text(made, true)
     with pytest.raises(CalibrationError, match=r"another size than was said, by a factor of 0\.9"):
         baseline_text(made, 0.9 * true)
 
 
-def _shifted(found: Sightings, truth: Bundle, shift: np.ndarray) -> np.ndarray:
+def _shifted(seen: Sightings, truth: Bundle, shift: np.ndarray) -> np.ndarray:
     """How far pixels move when marks do, (m, 2) [px]; the shift is in the board's frame."""
-    corners = found.corners
+    corners = seen.corners
     whole = truth.camera[corners.camera] @ truth.view[corners.view]
     moved = np.empty((len(corners.camera), 2))
     for c, intrinsics in enumerate(truth.intrinsics):
-        own = corners.camera == c
-        turn, place = whole[own, :3, :3], whole[own, :3, 3]
+        of_camera = corners.camera == c
+        turn, shifts = whole[of_camera, :3, :3], whole[of_camera, :3, 3]
         ends = [
-            seen_points(intrinsics, np.einsum("nij,nj->ni", turn, mark[own]) + place)[0]
+            seen_points(intrinsics, np.einsum("nij,nj->ni", turn, mark[of_camera]) + shifts)[0]
             for mark in (corners.point, corners.point + shift)
         ]
-        moved[own] = ends[1] - ends[0]
+        moved[of_camera] = ends[1] - ends[0]
     return moved
 
 
-def _moving(found: Sightings, truth: Bundle, late: np.ndarray) -> Sightings:
+def _moving(seen: Sightings, truth: Bundle, late: np.ndarray) -> Sightings:
     """What is seen where each board moves by its own velocity, a millimetre or so."""
-    corners, rng = found.corners, np.random.default_rng(4)
-    speed = rng.uniform(0.0, 1.5e-3, (len(found.views), 1)) * rng.normal(size=(len(found.views), 3))
-    pixel = corners.pixel + _shifted(found, truth, late[:, None] * speed[corners.view])
-    return replace(found, corners=replace(corners, pixel=pixel))
+    corners, rng = seen.corners, np.random.default_rng(4)
+    speed = rng.uniform(0.0, 1.5e-3, (len(seen.views), 1)) * rng.normal(size=(len(seen.views), 3))
+    pixel = corners.pixel + _shifted(seen, truth, late[:, None] * speed[corners.view])
+    return replace(seen, corners=replace(corners, pixel=pixel))
 
 
 @pytest.mark.parametrize("seed", [4, 5])
 def test_a_shutter_that_rolls_is_told(seed: int) -> None:
     """A board is where it is when the middle row is read."""
-    found, truth = _found(seed)
-    late = found.corners.pixel[:, 1] / SIZE[1] - 0.5
-    said = timing_note(calibrate(_moving(found, truth, late), [_BOARD]))
+    seen, truth = _found(seed)
+    late = seen.corners.pixel[:, 1] / SIZE[1] - 0.5
+    said = timing_note(calibrate(_moving(seen, truth, late), [_BOARD]))
     assert "a shutter rolls; hold the board still" in said
 
 
 @pytest.mark.parametrize("seed", [4, 5])
 def test_a_camera_that_comes_late_is_told(seed: int) -> None:
-    found, truth = _found(seed)
-    late = 0.1 * (found.corners.camera == 1)
-    said = timing_note(calibrate(_moving(found, truth, late), [_BOARD]))
+    seen, truth = _found(seed)
+    late = 0.1 * (seen.corners.camera == 1)
+    said = timing_note(calibrate(_moving(seen, truth, late), [_BOARD]))
     assert "'c0' and 'c1' take theirs not at one instant" in said
     assert "one trigger" in said
 
@@ -172,14 +172,14 @@ def test_a_camera_that_comes_late_is_told(seed: int) -> None:
 def test_boards_held_still_need_no_velocity(seed: int) -> None:
     """Of normal errors nothing is explained; of what a lens has beyond its model little; what a bow
     of half a millimetre leaves is as well explained by columns as by rows."""
-    found, truth = _found(seed)
-    assert timing_note(calibrate(found, [_BOARD])) == ""
-    corners = found.corners
+    seen, truth = _found(seed)
+    assert timing_note(calibrate(seen, [_BOARD])) == ""
+    corners = seen.corners
     away = corners.point - _BOARD.points.mean(axis=0)
     bow = 5e-4 * np.outer((away**2).sum(axis=1) / 0.06**2, [0.0, 0.0, 1.0])
     wave = 0.15 * np.sin(corners.pixel[:, ::-1] / 50.0)
-    for error in (wave, _shifted(found, truth, bow)):
-        odd = replace(found, corners=replace(corners, pixel=corners.pixel + error))
+    for error in (wave, _shifted(seen, truth, bow)):
+        odd = replace(seen, corners=replace(corners, pixel=corners.pixel + error))
         made = calibrate(odd, [_BOARD])
         assert made.adjusted.noise.min() > 0.12
         assert timing_note(made) == ""

@@ -134,9 +134,9 @@ def test_several_boards_in_one_picture_are_views_of_their_own(tmp_path: Path) ->
 
 def test_the_board_on_the_table_is_the_frame() -> None:
     """Its corners lie on z = 0 about the origin, and the cameras above it."""
-    found, board, _ = _synthetic(3, cameras=2)
-    result = calibrate(found, [board])
-    frame = board_frame(result, [board], found.views[4])
+    both, board, _ = _synthetic(3, cameras=2)
+    result = calibrate(both, [board])
+    frame = board_frame(result, [board], both.views[4])
     corners = board.points - board.points.mean(axis=0)
     seen = result.adjusted.bundle.view[4]
     there = (corners + board.points.mean(axis=0)) @ seen[:3, :3].T + seen[:3, 3]
@@ -192,12 +192,12 @@ def test_marks_are_found_where_they_are(target: Chessboard | AprilGrid | Circles
     shifted[:3, 3] += pose[:3, :3] @ [-margin, -margin, 0.0]
     extent = (texture.shape[1] / pixels_per_metre, texture.shape[0] / pixels_per_metre)
     picture = draw_board(texture, extent, intrinsics, shifted, _SIZE, rng=rng, parts=3)
-    found = target.find(picture)
-    assert len(found.mark) == len(points)
+    sighting = target.find(picture)
+    assert len(sighting.mark) == len(points)
     bundle = Bundle(intrinsics[None], np.eye(4)[None], pose[None])
     truth = seen_corners(bundle, points, rng, noise=0.0).pixel
     turned = np.arange(len(points)) if target.turned is None else target.turned
-    errors = [np.linalg.norm(found.pixel - truth[order[found.mark]], axis=1) for order in
+    errors = [np.linalg.norm(sighting.pixel - truth[order[sighting.mark]], axis=1) for order in
               (np.arange(len(points)), turned)]  # fmt: skip
     error = min(errors, key=lambda e: float(np.median(e)))
     # The drawing has texels of a third of a pixel. A tag's corner has one dark quarter out of four,
@@ -216,15 +216,15 @@ def test_corners_at_the_rim_need_one_marker() -> None:
     extent = (board.columns * board.square, board.rows * board.square)
     rng = np.random.default_rng(5)
     picture = draw_board(board.drawing(60), extent, intrinsics, pose, _SIZE, rng=rng)
-    found = board.find(picture)
-    place = intrinsics[:2] * (board.points + pose[:3, 3])[:, :2] / pose[2, 3] + intrinsics[2:4]
+    sighting = board.find(picture)
+    pixel = intrinsics[:2] * (board.points + pose[:3, 3])[:, :2] / pose[2, 3] + intrinsics[2:4]
     # A corner needs a few pixels around it, and a whole marker of 45 on one side.
-    visible = ((place > 8.0) & (place < np.array(_SIZE) - 9.0)).all(axis=1)
+    visible = ((pixel > 8.0) & (pixel < np.array(_SIZE) - 9.0)).all(axis=1)
     assert visible.sum() == 88
-    assert set(found.mark.tolist()) <= set(np.flatnonzero(visible).tolist())
+    assert set(sighting.mark.tolist()) <= set(np.flatnonzero(visible).tolist())
     # The rim cuts both markers of two outermost corners.
-    assert len(found.mark) == 86
-    assert np.abs(found.pixel - place[found.mark]).max() < 0.3
+    assert len(sighting.mark) == 86
+    assert np.abs(sighting.pixel - pixel[sighting.mark]).max() < 0.3
 
 
 def _synthetic(
@@ -240,12 +240,12 @@ def _synthetic(
 
 
 def test_boards_seen_upside_down_are_turned_alike() -> None:
-    found, board, truth = _synthetic(10)
-    turned = (found.corners.camera == 1) & (found.corners.view % 3 == 0)
-    mark = np.where(turned, board.turned[found.mark], found.mark)
-    point = np.where(turned[:, None], board.points[mark], found.corners.point)
-    found = replace(found, mark=mark, corners=replace(found.corners, point=point))
-    result = calibrate(found, [board])
+    seen, board, truth = _synthetic(10)
+    turned = (seen.corners.camera == 1) & (seen.corners.view % 3 == 0)
+    mark = np.where(turned, board.turned[seen.mark], seen.mark)
+    point = np.where(turned[:, None], board.points[mark], seen.corners.point)
+    seen = replace(seen, mark=mark, corners=replace(seen.corners, point=point))
+    result = calibrate(seen, [board])
     assert not result.notes
     np.testing.assert_allclose(result.adjusted.noise, 0.1, rtol=0.1)
     for camera, pose in zip(result.cameras, truth.camera, strict=True):
@@ -254,11 +254,11 @@ def test_boards_seen_upside_down_are_turned_alike() -> None:
 
 
 def test_a_board_that_moved_between_the_cameras_is_named() -> None:
-    found, board, _ = _synthetic(11)
-    moved = (found.corners.camera == 1) & (found.corners.view == 5)
+    seen, board, _ = _synthetic(11)
+    moved = (seen.corners.camera == 1) & (seen.corners.view == 5)
     assert moved.sum() > 30
-    pixel = found.corners.pixel + np.where(moved[:, None], [4.0, -3.0], 0.0)
-    result = calibrate(replace(found, corners=replace(found.corners, pixel=pixel)), [board])
+    pixel = seen.corners.pixel + np.where(moved[:, None], [4.0, -3.0], 0.0)
+    result = calibrate(replace(seen, corners=replace(seen.corners, pixel=pixel)), [board])
     assert len(result.notes) == 1
     assert "'05'" in result.notes[0]
     assert "move" in result.notes[0]
@@ -268,33 +268,33 @@ def test_a_board_that_moved_between_the_cameras_is_named() -> None:
 
 def test_a_mark_found_beside_its_place_costs_no_view() -> None:
     """Ten pixels, a hundred times the noise: the corner is left out and the view is not."""
-    found, board, _ = _synthetic(11)
-    pixel = found.corners.pixel.copy()
-    wrong = np.flatnonzero((found.corners.camera == 1) & (found.corners.view == 5))[7]
+    seen, board, _ = _synthetic(11)
+    pixel = seen.corners.pixel.copy()
+    wrong = np.flatnonzero((seen.corners.camera == 1) & (seen.corners.view == 5))[7]
     pixel[wrong] += [8.0, -6.0]
-    result = calibrate(replace(found, corners=replace(found.corners, pixel=pixel)), [board])
+    result = calibrate(replace(seen, corners=replace(seen.corners, pixel=pixel)), [board])
     assert result.notes == ()
     assert len(result.sightings.views) == 14
     assert not result.adjusted.good[wrong]
 
 
 def test_pictures_of_different_instants_are_refused() -> None:
-    found, board, _ = _synthetic(12)
-    view = np.where(found.corners.camera == 1, (found.corners.view + 3) % 14, found.corners.view)
+    seen, board, _ = _synthetic(12)
+    view = np.where(seen.corners.camera == 1, (seen.corners.view + 3) % 14, seen.corners.view)
     with pytest.raises(CalibrationError, match="same instant"):
-        calibrate(replace(found, corners=replace(found.corners, view=view)), [board])
+        calibrate(replace(seen, corners=replace(seen.corners, view=view)), [board])
 
 
 def test_lengths_are_as_good_as_said() -> None:
     """The scale of a rig against its true one, over seeds: its claimed sigma holds."""
     ratios = []
     for seed in range(20, 26):
-        found, board, truth = _synthetic(seed, cameras=2)
-        result = calibrate(found, [board])
+        seen, board, truth = _synthetic(seed, cameras=2)
+        result = calibrate(seen, [board])
         sigma = length_sigma(result)
-        pose = truth.view[found.corners.view]
-        points = np.einsum("mij,mj->mi", pose[:, :3, :3], found.corners.point) + pose[:, :3, 3]
-        pixels = np.stack([project(camera, points) for camera in cameras_of(found, truth)])
+        pose = truth.view[seen.corners.view]
+        points = np.einsum("mij,mj->mi", pose[:, :3, :3], seen.corners.point) + pose[:, :3, 3]
+        pixels = np.stack([project(camera, points) for camera in cameras_of(seen, truth)])
         measured = triangulate(Rig(result.cameras, 0, ""), pixels, 0.1).point
         scale = np.sqrt(measured.var(axis=0).sum() / points.var(axis=0).sum())
         ratios.append((scale - 1.0) / sigma)
@@ -307,19 +307,19 @@ def test_lengths_are_as_good_as_said() -> None:
 
 
 def test_what_is_missing_is_said() -> None:
-    found, board, _ = _synthetic(13, cameras=1)
-    quality = camera_quality(calibrate(found, [board]))[0]
+    seen, board, _ = _synthetic(13, cameras=1)
+    quality = camera_quality(calibrate(seen, [board]))[0]
     assert quality.views == 14
     assert quality.noise == pytest.approx(0.1, rel=0.1)
-    low = found.corners.pixel[:, 0] < 0.6 * 1280
-    corners = found.corners.chosen(low)
+    low = seen.corners.pixel[:, 0] < 0.6 * 1280
+    corners = seen.corners.chosen(low)
     enough = np.bincount(corners.view, minlength=14) >= 12
     low[low] = enough[corners.view]
-    corners = found.corners.chosen(low)
-    kept, number = np.unique(corners.view, return_inverse=True)
+    corners = seen.corners.chosen(low)
+    views, number = np.unique(corners.view, return_inverse=True)
     part = replace(
-        found, corners=replace(corners, view=number), mark=found.mark[low],
-        views=tuple(found.views[v] for v in kept), targets=(0,) * len(kept),
+        seen, corners=replace(corners, view=number), mark=seen.mark[low],
+        views=tuple(seen.views[v] for v in views), targets=(0,) * len(views),
     )  # fmt: skip
     missing = " ".join(camera_quality(calibrate(part, [board]))[0].missing)
     assert "upper right" in missing
@@ -330,28 +330,30 @@ def test_what_is_missing_is_said() -> None:
 def test_errors_of_pictures_and_of_regions_are_the_same_errors() -> None:
     """Summed over one camera's views they are those summed over its nine regions; a mark that is
     beside its place is counted in its own picture, and is in neither."""
-    found, board, _ = _synthetic(15, cameras=2)
-    corners = found.corners
+    seen, board, _ = _synthetic(15, cameras=2)
+    corners = seen.corners
     beside = np.flatnonzero((corners.camera == 1) & (corners.view == 3))[5]
     pixel = corners.pixel.copy()
     pixel[beside] += [6.0, -4.0]
-    made = calibrate(replace(found, corners=replace(corners, pixel=pixel)), [board])
+    made = calibrate(replace(seen, corners=replace(corners, pixel=pixel)), [board])
     pictures = picture_errors(made)
-    odd = [one for one in pictures if (one.camera, one.view) == ("c1", found.views[3])]
-    assert [one.rejected for one in odd] == [1]
+    odd = [
+        picture for picture in pictures if (picture.camera, picture.view) == ("c1", seen.views[3])
+    ]
+    assert [picture.rejected for picture in odd] == [1]
     for quality in camera_quality(made):
-        mine = [one for one in pictures if one.camera == quality.name]
-        assert sum(one.corners for one in mine) == quality.corners
-        by_view = sum((one.corners - one.rejected) * one.rms**2 for one in mine)
+        mine = [picture for picture in pictures if picture.camera == quality.name]
+        assert sum(picture.corners for picture in mine) == quality.corners
+        by_view = sum((picture.corners - picture.rejected) * picture.rms**2 for picture in mine)
         by_region = np.nansum(quality.seen * quality.rms**2)
         assert by_view == pytest.approx(by_region, rel=1e-12)
         # Two coordinates of 0.1 px.
-        assert max(one.rms for one in mine) < 0.2
+        assert max(picture.rms for picture in mine) < 0.2
 
 
 def test_covariance_goes_with_its_names(tmp_path: Path) -> None:
-    found, board, _ = _synthetic(14, cameras=2)
-    result = calibrate(found, [board])
+    seen, board, _ = _synthetic(14, cameras=2)
+    result = calibrate(seen, [board])
     write_calibration(tmp_path, result)
     with np.load(tmp_path / "rig_covariance.npz") as stored:
         assert stored["names"].tolist() == list(result.names)

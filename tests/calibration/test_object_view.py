@@ -79,8 +79,8 @@ def test_a_mesh_in_another_unit_is_refused(scene: tuple[Rig, TriangleMesh, str])
 
 def test_a_star_stands_for_the_instants(scene: tuple[Rig, TriangleMesh, str]) -> None:
     truth, _, pictures = scene
-    found = find_instants(truth, pictures.replace("s0_", "s*_"))
-    assert found[0] == pictures
-    assert len(found) > 1
+    instants = find_instants(truth, pictures.replace("s0_", "s*_"))
+    assert instants[0] == pictures
+    assert len(instants) > 1
     with pytest.raises(RecordError, match="there is no file"):
         find_instants(truth, pictures.replace("s0_", "t*_"))

@@ -42,8 +42,8 @@ def _bumpy(across: np.ndarray) -> np.ndarray:
 
 def _ties(rig: Rig, rng: np.random.Generator, *, noise: float, points: int = 160) -> Ties:
     """Points of a bumpy surface 0.36 m away, as the cameras of a rig see them."""
-    place = _bumpy(rng.uniform(-0.02, 0.02, (points, 2)))
-    pixels = np.stack([project(camera, place) for camera in rig.cameras])
+    points_seen = _bumpy(rng.uniform(-0.02, 0.02, (points, 2)))
+    pixels = np.stack([project(camera, points_seen) for camera in rig.cameras])
     pixels += noise * rng.normal(size=pixels.shape)
     return Ties(pixels, np.broadcast_to(0.03**2 * np.eye(2), (*pixels.shape, 2)).copy())
 
@@ -63,12 +63,12 @@ def _drawn(seed: int, *, noise: float = 0.03) -> tuple[Refined, Rig, Rig]:
 
 def _errors(rig: Rig, truth: Rig, names: tuple[str, ...]) -> np.ndarray:
     """Of every number; a turn as the covariance counts it, after that of the pose."""
-    found = calibration_numbers(rig.cameras, names) - calibration_numbers(truth.cameras, names)
+    errors = calibration_numbers(rig.cameras, names) - calibration_numbers(truth.cameras, names)
     for camera, true in zip(rig.cameras[1:], truth.cameras[1:], strict=True):
         turn = camera.T_camera_object[:3, :3] @ true.T_camera_object[:3, :3].T
         first = names.index(f"{camera.name}.rx")
-        found[first : first + 3] = Rotation.from_matrix(turn).as_rotvec()
-    return found
+        errors[first : first + 3] = Rotation.from_matrix(turn).as_rotvec()
+    return errors
 
 
 def test_errors_shrink_to_what_the_covariance_says() -> None:
@@ -110,11 +110,11 @@ def test_a_rig_that_cannot_be_made_better_is_left() -> None:
         refined_rig(truth, known, _ties(truth, np.random.default_rng(seed), noise=3.0, points=70))
         for seed in range(3)
     ]
-    left = [one for one in worse if not one.better]
+    left = [refined for refined in worse if not refined.better]
     assert left
-    for one in left:
-        assert one.rig is truth
-        assert one.known is known
+    for refined in left:
+        assert refined.rig is truth
+        assert refined.known is known
 
 
 def test_unusable_points_are_counted_where_the_rig_is_left_too() -> None:

@@ -70,15 +70,15 @@ def test_still_frames_of_videos_give_the_rig(
     assert main(["calibrate", str(tmp_path / "films"), *_WORDS.split(), str(rig)]) == 0
     said = capsys.readouterr()
     assert "frames show the board where another does" in said.err
-    kept = sorted(path.stem for path in (rig / "frames" / "c0").iterdir())
+    frames = sorted(path.stem for path in (rig / "frames" / "c0").iterdir())
     # Of every place one frame, and of those in which it is still.
-    assert len(kept) == _PLACES
-    assert all(int(name) % (_MOVING + _STILL) >= _MOVING for name in kept)
-    found = read_rig(rig).cameras[1].T_camera_object
+    assert len(frames) == _PLACES
+    assert all(int(name) % (_MOVING + _STILL) >= _MOVING for name in frames)
+    pose_found = read_rig(rig).cameras[1].T_camera_object
     with np.load(rig / "rig_covariance.npz") as stored:
         sigma = dict(zip(stored["names"], np.sqrt(np.diag(stored["covariance"])), strict=True))
         assert stored["corner_noise"].max() < 0.15
-    assert abs(found[0, 3] - pose[0, 3]) < 4.0 * sigma["c1.tx"] < 2e-2
+    assert abs(pose_found[0, 3] - pose[0, 3]) < 4.0 * sigma["c1.tx"] < 2e-2
 
 
 def test_videos_of_different_length_are_refused(

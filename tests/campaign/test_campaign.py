@@ -148,11 +148,11 @@ def test_motion_in_pictures_is_measured_once(cube, scheduler, tmp_path, submitte
 
 def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, submitted, monkeypatch):
     items, folder = read_items(cubes), tmp_path / "campaign"
-    kept = []
+    saved = []
 
     def stopped(self, work, files, save=Store.save_result):
         save(self, work, files)
-        kept.append(work.session.session)
+        saved.append(work.session.session)
         # After the result is there and before its row is: the worst moment.
         raise KeyboardInterrupt
 
@@ -165,7 +165,7 @@ def test_a_campaign_that_is_stopped_goes_on(cubes, scheduler, tmp_path, submitte
     rows = run_campaign(items, folder, scheduler=scheduler)
     assert [row.state for row in rows] == ["failed", "done", "done"]
     handed = {session for _, session in submitted} - {"bad/session.toml"}
-    assert handed == {f"c{k}/session.toml" for k in range(2)} - {kept[0]}
+    assert handed == {f"c{k}/session.toml" for k in range(2)} - {saved[0]}
 
 
 @contextmanager
@@ -286,14 +286,14 @@ def _pictures(work):
 
 def test_a_work_has_the_pictures_of_its_probings_alone(seen):
     packed = pack_session(seen)
-    shared, own = motion_works(seen, packed, GIVEN)
+    shared, unshared = motion_works(seen, packed, GIVEN)
     assert list(shared.keys) == ["n01", "n02"]
     assert _pictures(shared) == {"rest", "n01_1", "n01_2", "n02"}
-    assert list(own.keys) == ["n03"]
-    assert _pictures(own) == {"other", "n03"}
+    assert list(unshared.keys) == ["n03"]
+    assert _pictures(unshared) == {"other", "n03"}
     others = {name for name in packed.files if not name.endswith(".png")}
-    assert others <= set(own.session.files)
-    assert len({shared.digest, own.digest, Work("fit", packed, GIVEN).digest}) == 3
+    assert others <= set(unshared.session.files)
+    assert len({shared.digest, unshared.digest, Work("fit", packed, GIVEN).digest}) == 3
 
 
 @pytest.mark.parametrize(
@@ -309,12 +309,12 @@ def test_a_work_has_the_pictures_of_its_probings_alone(seen):
     ],
 )
 def test_probings_with_many_instants_are_several_works(instants, expected):
-    found = [
+    pieces = [
         [int(name) for name in piece]
         for piece in _pieces(dict(zip(map(str, range(9)), instants, strict=False)))
     ]
-    assert found == expected
-    assert all(sum(instants[k] for k in piece) >= min(25, sum(instants)) for piece in found)
+    assert pieces == expected
+    assert all(sum(instants[k] for k in piece) >= min(25, sum(instants)) for piece in pieces)
 
 
 @pytest.mark.slow
@@ -414,7 +414,7 @@ def local(scheduler, monkeypatch):
 def _kinds(begun):
     """All but the session that is none."""
     kinds = [(work.kind, work.session.session.partition("/")[0]) for work in begun]
-    return [each for each in kinds if each != ("fit", "bad")]
+    return [kind for kind in kinds if kind != ("fit", "bad")]
 
 
 def test_a_body_is_the_mesh_whatever_is_measured_on_it(cubes, tmp_path):
@@ -427,9 +427,9 @@ def test_a_body_is_the_mesh_whatever_is_measured_on_it(cubes, tmp_path):
     assert sorted(meshes) == ["c0", "c1"]
     assert len(set(meshes.values())) == 1
     packed = [pack_session(cubes / name) for name in meshes]
-    same = {body_work(each, GIVEN, meshes["c0"]).digest for each in packed}
+    same = {body_work(session, GIVEN, meshes["c0"]).digest for session in packed}
     assert len(same) == 1
-    assert same.isdisjoint({Work("fit", each, GIVEN).digest for each in packed})
+    assert same.isdisjoint({Work("fit", session, GIVEN).digest for session in packed})
 
 
 @pytest.mark.slow
@@ -456,10 +456,10 @@ def test_few_sessions_are_read_while_a_body_is_computed(cubes, local, tmp_path, 
         file.write_text(file.read_text().replace("-1.2", f"-1.{number + 2}"))
     held = []
 
-    def stored(self, work, found, store=_Run._store_outcome):
+    def stored(self, work, outcome, store=_Run._store_outcome):
         if work.kind == "body":
             held.append(len(self._items_of))
-        store(self, work, found)
+        store(self, work, outcome)
 
     monkeypatch.setattr(_Run, "_store_outcome", stored)
     monkeypatch.setattr(campaign, "_FITS_PER_THREAD", 1)

@@ -59,10 +59,12 @@ def test_other_versions_are_refused(scheduler, monkeypatch, who, package, versio
     asked = distributed.Client.get_versions
 
     def answered(self, **options):
-        found = asked(self, **options)
-        there = found["scheduler"] if who == "scheduler" else next(iter(found["workers"].values()))
+        engine = asked(self, **options)
+        there = (
+            engine["scheduler"] if who == "scheduler" else next(iter(engine["workers"].values()))
+        )
         there["packages"][package] = version
-        return found
+        return engine
 
     monkeypatch.setattr(distributed.Client, "get_versions", answered)
     with pytest.raises(InputError) as raised, started_engine(scheduler, None):
@@ -138,9 +140,9 @@ def test_a_worker_that_lost_the_package_ends_the_run():
 
 
 def test_work_that_kills_its_workers_is_given_up():
-    found = _found(distributed.KilledWorker("k", None, 3))
-    assert isinstance(found, WorkerError)
-    assert "every worker that took it died" in str(found)
+    message = _found(distributed.KilledWorker("k", None, 3))
+    assert isinstance(message, WorkerError)
+    assert "every worker that took it died" in str(message)
 
 
 @pytest.mark.slow
@@ -162,14 +164,14 @@ def _killed(_):
 
 
 def test_an_error_of_the_program_is_said_to_be_one():
-    found = _found(ZeroDivisionError("by\nzero"))
-    assert str(found) == "an error of the program, not of yours (ZeroDivisionError: by zero)"
+    message = _found(ZeroDivisionError("by\nzero"))
+    assert str(message) == "an error of the program, not of yours (ZeroDivisionError: by zero)"
 
 
 def test_a_worker_without_a_place_to_work_is_said_to_be_one():
-    found = str(_found(OSError(errno.ENOSPC, "No space left on device", "worker/palpate")))
-    assert found.startswith("an error of a worker's machine, not of yours (OSError: ")
-    assert "No space left on device: 'worker/palpate'" in found
+    message = str(_found(OSError(errno.ENOSPC, "No space left on device", "worker/palpate")))
+    assert message.startswith("an error of a worker's machine, not of yours (OSError: ")
+    assert "No space left on device: 'worker/palpate'" in message
 
 
 def test_an_error_of_the_user_comes_as_it_is():
@@ -211,7 +213,7 @@ def test_a_cluster_of_ones_own_bounds_threads_and_memory():
         limits = [w["memory_limit"] for w in workers.client.scheduler_info()["workers"].values()]
         blocked = workers.client.run(_blocked_signals)
         folders = {Path(folder) for folder in workers.map(_folder, range(8))}
-        assert all(f"{tempfile.gettempdir()}/palpate-workers-" in str(each) for each in folders)
+        assert all(f"{tempfile.gettempdir()}/palpate-workers-" in str(folder) for folder in folders)
         assert all(stat.S_IMODE(folder.parents[2].stat().st_mode) == 0o700 for folder in folders)
     assert not any(folder.parents[2].exists() for folder in folders)
     assert threads == [("1", "1", 1)] * 4
@@ -225,10 +227,11 @@ def test_a_cluster_of_ones_own_bounds_threads_and_memory():
 def test_workers_of_another_cluster_have_a_folder_each(scheduler):
     with started_engine(scheduler, None) as workers:
         folders = set(workers.map(_folder, range(8)))
-        own = {
-            each["local_directory"] for each in workers.client.scheduler_info()["workers"].values()
+        configured = {
+            worker["local_directory"]
+            for worker in workers.client.scheduler_info()["workers"].values()
         }
-    assert {str(Path(each).parent) for each in folders} <= own
+    assert {str(Path(folder).parent) for folder in folders} <= configured
 
 
 def _folder(_):

@@ -34,8 +34,8 @@ def test_a_value_far_out_of_its_group_is_named():
     soft, hard = 5e4 * np.exp(0.1 * rng.normal(size=(2, 30)))
     soft[7], hard = 1e5, 4 * hard
     soft[9] = hard[3]
-    found = outliers([*_rows(soft, group="soft"), *_rows(hard, group="hard")])
-    assert found == {"soft7": ("young_modulus",), "soft9": ("young_modulus",)}
+    outlying = outliers([*_rows(soft, group="soft"), *_rows(hard, group="hard")])
+    assert outlying == {"soft7": ("young_modulus",), "soft9": ("young_modulus",)}
 
 
 def test_one_without_an_interval_to_speak_of_is_no_outlier():
@@ -57,8 +57,12 @@ def test_what_is_usual_is_seldom_named():
 
 def test_what_is_not_determined_is_left_empty(cube_session):
     estimate = sample_result(read_session(cube_session)).estimate
-    found = constants_of(estimate)
-    assert found["young_modulus_low"] < found["young_modulus"] < found["young_modulus_high"]
+    constants = constants_of(estimate)
+    assert (
+        constants["young_modulus_low"]
+        < constants["young_modulus"]
+        < constants["young_modulus_high"]
+    )
     lost = dict.fromkeys(("poisson_ratio", "young_modulus"), False)
     wide = replace(estimate.poisson_ratio, ci95=(-np.inf, 0.5))
     unknown = replace(
@@ -67,8 +71,8 @@ def test_what_is_not_determined_is_left_empty(cube_session):
         identifiable=estimate.identifiable | lost,
         poisson_ratio=wide,
     )
-    found = constants_of(unknown)
-    assert [name for name, value in found.items() if value is None] == [
+    constants = constants_of(unknown)
+    assert [name for name, value in constants.items() if value is None] == [
         "poisson_ratio",
         "poisson_ratio_low",
         "young_modulus",

@@ -16,21 +16,21 @@ def test_a_list_names_paths_and_groups(tmp_path):
     _session(tmp_path / "a")
     listed = tmp_path / "list.txt"
     listed.write_text("# fruit\n a , ripe  # the first\n\nb c, unripe\nd\n")
-    found = read_items(listed)
-    assert [(one.name, one.group) for one in found] == [
+    items = read_items(listed)
+    assert [(item.name, item.group) for item in items] == [
         ("a", "ripe"),
         ("b c", "unripe"),
         ("d", ""),
     ]
     # A session that is not there is found out when its turn comes, as a row of its own.
-    assert [one.path for one in found] == [tmp_path / "a", tmp_path / "b c", tmp_path / "d"]
+    assert [item.path for item in items] == [tmp_path / "a", tmp_path / "b c", tmp_path / "d"]
 
 
 def test_sessions_below_a_folder_are_grouped_by_the_way_to_them(tmp_path):
     for below in ("z", "ripe/2", "ripe/1", "unripe/day 1/7"):
         _session(tmp_path / below)
-    found = [(one.name, one.group) for one in read_items(tmp_path)]
-    assert found == [
+    items = [(item.name, item.group) for item in read_items(tmp_path)]
+    assert items == [
         ("ripe/1", "ripe"),
         ("ripe/2", "ripe"),
         ("unripe/day 1/7", "unripe"),

@@ -31,17 +31,17 @@ def fitted(cube, tmp_path_factory):
 def test_the_files_are_the_same_to_the_last_byte(fitted):
     _, plain, others = fitted
     assert "estimate.json" in plain.files
-    assert all(dict(one.files) == dict(plain.files) for one in others)
+    assert all(dict(output.files) == dict(plain.files) for output in others)
 
 
 def test_the_estimate_is_that_of_a_plain_fit(fitted, cube, tmp_path):
     _, plain, _ = fitted
     (tmp_path / "e.json").write_bytes(plain.files["estimate.json"])
     expected = fit_session(read_session(cube)).estimate
-    found = read_estimate(tmp_path / "e.json")
+    estimate = read_estimate(tmp_path / "e.json")
     # Several threads may add in another order: rounding, times the condition of the model.
-    assert found.young_modulus.value == pytest.approx(expected.young_modulus.value, rel=1e-9)
-    assert found.young_modulus.ci95 == pytest.approx(expected.young_modulus.ci95, rel=1e-6)
+    assert estimate.young_modulus.value == pytest.approx(expected.young_modulus.value, rel=1e-9)
+    assert estimate.young_modulus.ci95 == pytest.approx(expected.young_modulus.ci95, rel=1e-6)
 
 
 def test_only_what_others_can_use_stays_behind(fitted):
@@ -58,8 +58,8 @@ def test_a_body_leaves_what_its_fits_need(fitted, packed_cube, tmp_path):
     body = do_work(Work("body", packed_cube, FitOptions(), {"mesh": "m"}), folder=tmp_path)
     assert body.files == {}
     names = [
-        sorted(path.name for path in (place / "bodies").iterdir())
-        for place in (folder / "two", tmp_path)
+        sorted(path.name for path in (parent / "bodies").iterdir())
+        for parent in (folder / "two", tmp_path)
     ]
     assert names[0] == names[1]
     work = Work("fit", packed_cube, FitOptions(), shared_body=True)
@@ -168,11 +168,11 @@ def test_a_session_travels_with_what_lies_above_it(cube_session, tmp_path):
     shutil.move(cube_session / "mesh.ply", cube_session.parent / "mesh.ply")
     text = (cube_session / "session.toml").read_text().replace('"mesh.ply"', '"../mesh.ply"')
     (cube_session / "session.toml").write_text(text)
-    found = pack_session(cube_session)
-    assert set(found.files) == {"mesh.ply", "cube/session.toml", "cube/n01.csv"}
-    assert found.session == "cube/session.toml"
+    packed = pack_session(cube_session)
+    assert set(packed.files) == {"mesh.ply", "cube/session.toml", "cube/n01.csv"}
+    assert packed.session == "cube/session.toml"
     (tmp_path / "there").mkdir()
-    unpack(found.files, tmp_path / "there")
+    unpack(packed.files, tmp_path / "there")
     assert (tmp_path / "there" / "cube" / "session.toml").read_text() == text
 
 

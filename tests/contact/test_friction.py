@@ -53,7 +53,7 @@ def test_a_tool_that_is_turned_is_as_far_from_a_point_that_is_turned() -> None:
     both = [
         tool_arrays([placed], [placed])
         for placed in (
-            PlacedTool(ConvexMesh(0.01, each, 0.05), np.zeros(3)) for each in (planes, turned)
+            PlacedTool(ConvexMesh(0.01, faces, 0.05), np.zeros(3)) for faces in (planes, turned)
         )
     ]
     for point in rng.normal(scale=0.02, size=(50, 3)):
@@ -61,8 +61,8 @@ def test_a_tool_that_is_turned_is_as_far_from_a_point_that_is_turned() -> None:
         straight, face = tool_gap(both[0], 0, -1, point, normals[0])
         # Distance from the farthest plane, by hand.
         assert straight == pytest.approx((np.abs(point) - half).max(), abs=1e-15)
-        found, at = tool_gap(both[1], 0, -1, turn @ point, normals[1])
-        assert (found, at) == (pytest.approx(straight, abs=1e-15), face)
+        gap, at = tool_gap(both[1], 0, -1, turn @ point, normals[1])
+        assert (gap, at) == (pytest.approx(straight, abs=1e-15), face)
         np.testing.assert_allclose(normals[1], turn @ normals[0], atol=1e-15)
 
 
@@ -81,11 +81,11 @@ def test_a_node_that_slides_is_at_rest_under_all_of_its_friction_alone(friction:
     way, residual = np.array([[1.0, 0.0, 0.0]]), np.array([[1e-4, 0.0, 0.0]])
     for pull in (0.0, 0.5, 0.99, 1.0):
         force = np.array([[-pull * friction * 2.0, 0.0, 2.0]])
-        found = at_rest(
+        settled = at_rest(
             frame, np.array([friction]), residual, force, np.array([SLIDES]), way.copy(), 1e-3
         )
         # Without friction there is none to lack.
-        assert found == (pull == 1.0 or friction == 0.0)
+        assert settled == (pull == 1.0 or friction == 0.0)
 
 
 def test_a_node_that_is_off_the_tool_and_bears_nothing_is_at_rest() -> None:
@@ -93,10 +93,10 @@ def test_a_node_that_is_off_the_tool_and_bears_nothing_is_at_rest() -> None:
     set_frame(np.array([0.0, 0.0, 1.0]), frame[0])
     for gap in (1e-4, -1e-4):
         residual = np.array([[0.0, 0.0, gap]])
-        found = at_rest(
+        settled = at_rest(
             frame, np.array([0.3]), residual, none.copy(), np.array([OPEN]), none.copy(), 1e-3
         )
-        assert found == (gap > 0.0)
+        assert settled == (gap > 0.0)
 
 
 @pytest.mark.parametrize(
@@ -113,9 +113,9 @@ def test_a_round_tool_is_what_its_outline_sweeps(tool: Tool, outline: np.ndarray
     rng = np.random.default_rng(0)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
-    place = rng.normal(size=3)
+    position = rng.normal(size=3)
     points = rng.uniform([-0.015, -0.015, -0.01], [0.015, 0.015, 0.05], size=(400, 3))
-    gap, normal = gaps(PlacedTool(tool, place, turn), place + points @ turn.T)
+    gap, normal = gaps(PlacedTool(tool, position, turn), position + points @ turn.T)
     section = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
     along = np.diff(outline, axis=0)
     across = np.column_stack([along[:, 1], -along[:, 0]])
@@ -124,7 +124,7 @@ def test_a_round_tool_is_what_its_outline_sweeps(tool: Tool, outline: np.ndarray
     # Rounding of the place.
     np.testing.assert_allclose(gap, sides.max(axis=1), atol=1e-14)
     # Along its normal the nearest face goes away as fast as the point goes.
-    farther = gaps(PlacedTool(tool, place, turn), place + points @ turn.T + 1e-9 * normal)[0]
+    farther = gaps(PlacedTool(tool, position, turn), position + points @ turn.T + 1e-9 * normal)[0]
     np.testing.assert_allclose(farther - gap, 1e-9, rtol=1e-3)
 
 

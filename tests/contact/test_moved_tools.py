@@ -22,7 +22,7 @@ def _half_space() -> tuple[np.ndarray, np.ndarray]:
     pressure and traction on a disc of the area it stands for.
     """
     axis = APART * (np.arange(COUNT) - (COUNT - 1) / 2)
-    x, y = (each.ravel() for each in np.meshgrid(axis, axis, indexing="ij"))
+    x, y = (grid.ravel() for grid in np.meshgrid(axis, axis, indexing="ij"))
     points = np.column_stack([x, y, np.zeros_like(x)])
     r = points[:, None] - points
     distance = np.linalg.norm(r, axis=2) + np.eye(len(x)) * 0.5 * APART
@@ -46,10 +46,10 @@ def _walk(tool: Tool, way: np.ndarray, turn: np.ndarray | None = None) -> list[C
     whole = np.kron(np.eye(len(REST)), turn)
     rest, compliance = REST @ turn.T, whole @ COMPLIANCE @ whole.T
     up = np.array([0.0, 0.0, tool.radius if isinstance(tool, Sphere) else 0.0])
-    placed = [PlacedTool(tool, turn @ (place + up), turn) for place in way]
+    placed = [PlacedTool(tool, turn @ (lowest + up), turn) for lowest in way]
     states = [untouched(len(rest), placed[:1])]
-    for each in placed:
-        states.append(move_tools(rest, np.ascontiguousarray(compliance), [each], states[-1]))
+    for tool_now in placed:
+        states.append(move_tools(rest, np.ascontiguousarray(compliance), [tool_now], states[-1]))
     return states
 
 
@@ -99,7 +99,7 @@ def test_it_does_not_matter_how_the_world_is_turned(tool: Tool, friction: float)
     tool = replace(tool, friction=friction)
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     turn *= np.linalg.det(turn)
-    straight, turned = (_walk(tool, _way(4e-4, 3e-4), each)[-1] for each in (None, turn))
+    straight, turned = (_walk(tool, _way(4e-4, 3e-4), rotation)[-1] for rotation in (None, turn))
     np.testing.assert_array_equal(turned.touching, straight.touching)
     # What is left of the equations, a part in 1e9 of the largest force.
     off = 1e-7 * np.abs(straight.force).max()

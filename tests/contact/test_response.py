@@ -33,8 +33,8 @@ def uneven_compliance(green, nearness):
 
 def tool(friction):
     """One tool, of which only the friction counts here."""
-    one = [PlacedTool(Sphere(1.0, friction=friction), np.zeros(3))]
-    return tool_arrays(one, one)
+    tools = [PlacedTool(Sphere(1.0, friction=friction), np.zeros(3))]
+    return tool_arrays(tools, tools)
 
 
 def resting_nodes(count):
@@ -85,10 +85,10 @@ def test_a_system_is_solved_as_numpy_solves_it(size):
     matrix, right = rng.normal(size=(size, size)), rng.normal(size=size)
     # Without pivoting, this would divide by zero.
     np.fill_diagonal(matrix, 0.0 if size > 1 else 2.0)
-    expected, found = np.linalg.solve(matrix, right), right.copy()
-    assert solve(matrix.copy(), found)
+    expected, solution = np.linalg.solve(matrix, right), right.copy()
+    assert solve(matrix.copy(), solution)
     # Rounding, times a condition of a few hundred.
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-11)
+    np.testing.assert_allclose(solution, expected, rtol=1e-10, atol=1e-11)
 
 
 def test_a_singular_system_is_refused():

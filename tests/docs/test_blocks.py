@@ -40,15 +40,17 @@ def test_the_first_session_gives_the_constants_that_it_says(here, capsys):
         for word in line.split():
             if not any(letter.isdigit() for letter in word):
                 assert word in shown
-    found = json.loads((here / "foam_block-result" / "estimate.json").read_text(encoding="utf-8"))
+    estimate = json.loads(
+        (here / "foam_block-result" / "estimate.json").read_text(encoding="utf-8")
+    )
     # `check` foresaw it.
     for name, size in (("Young's modulus", 0.01 * 50e3), ("Poisson's ratio", 1.0)):
         (foreseen,) = re.findall(rf"{name} to about ([0-9.]*[0-9])", shown)
-        std = found[name.lower().replace("'s", "").replace(" ", "_")]["std"]
+        std = estimate[name.lower().replace("'s", "").replace(" ", "_")]["std"]
         assert 0.5 < float(foreseen) * size / std < 2.0
     # The block's own 50 kPa and 0.3: within the printed 95 % interval, as the page says.
     for name, truth in (("young_modulus", 50e3), ("poisson_ratio", 0.3)):
-        low, high = found[name]["ci95"]
+        low, high = estimate[name]["ci95"]
         assert low < truth < high
         # Little more than a tenth wide: the session is no bad example.
         assert high - low < 0.11 * truth
@@ -67,12 +69,14 @@ def test_one_camera_from_above_tells_the_constants_too(here):
     (here / "foam_block" / "top.csv").write_text("\n".join([head, *flat]) + "\n")
     assert main(["check", "foam_block"]) == 0
     assert main(["fit", "foam_block"]) == 0
-    found = json.loads((here / "foam_block-result" / "estimate.json").read_text(encoding="utf-8"))
+    estimate = json.loads(
+        (here / "foam_block-result" / "estimate.json").read_text(encoding="utf-8")
+    )
     for name, truth in (("young_modulus", 50e3), ("poisson_ratio", 0.3)):
-        low, high = found[name]["ci95"]
+        low, high = estimate[name]["ci95"]
         assert low < truth < high
         assert high - low < 0.2 * truth
-    assert found["probes"][0]["observed"] == 16
+    assert estimate["probes"][0]["observed"] == 16
 
 
 def test_one_measured_point_is_named_as_the_cause(here, capsys):

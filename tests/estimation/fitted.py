@@ -40,7 +40,7 @@ def minimum_of(problem: Problem, poisson_range: tuple[float, float] = RANGE) -> 
 def patterns(problem: Problem, index: int) -> np.ndarray:
     """Columns of the model's error of unknown shape, (n, r)."""
     unknown = problem.unknown[index]
-    rows = [unknown.moved(one) for one in np.eye(unknown.count)]
+    rows = [unknown.moved(coefficients) for coefficients in np.eye(unknown.count)]
     return np.reshape(rows, (unknown.count, len(unknown.variance)))
 
 

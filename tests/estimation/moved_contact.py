@@ -27,7 +27,7 @@ class MovedContact:
 
     def __call__(self, poisson_ratio: float) -> np.ndarray:
         stated = self.at(np.zeros(2), poisson_ratio)
-        return np.stack([self.at(one, poisson_ratio) - stated for one in STEPS], axis=1)
+        return np.stack([self.at(step, poisson_ratio) - stated for step in STEPS], axis=1)
 
 
 def contact_error_of(probe: ProbeObservations, std: float = 5e-4) -> Nuisance:

@@ -66,11 +66,11 @@ def test_an_exact_force_disagrees_with_nothing() -> None:
 def test_a_force_that_is_off_is_found_and_does_no_harm(seed: int) -> None:
     probes = _probes(seed)
     wrong = replace(probes[3], force=1.06 * probes[3].force)
-    found, freed = with_outlying_forces_freed(_fitted([*probes[:3], wrong, *probes[4:]]), RANGE)
+    minimum, freed = with_outlying_forces_freed(_fitted([*probes[:3], wrong, *probes[4:]]), RANGE)
     assert list(freed) == ["n04"]
     # As without that force.
     without = _fitted(probes[:3] + probes[4:])
-    assert found.shear_modulus == pytest.approx(without.shear_modulus, rel=0.003)
+    assert minimum.shear_modulus == pytest.approx(without.shear_modulus, rel=0.003)
 
 
 @pytest.mark.parametrize(("beyond", "freed"), [(0.99, 0), (1.01, 1)])
@@ -108,7 +108,7 @@ def test_forces_that_are_all_unlike_contradict_the_model() -> None:
     ]
     minimum, freed = with_outlying_forces_freed(_fitted(probes), RANGE)
     assert len(freed) <= 2
-    assert "measured forces" in {one.source for one in contradictions(minimum)}
+    assert "measured forces" in {contradiction.source for contradiction in contradictions(minimum)}
 
 
 def test_errors_none_of_which_is_impossible_contradict_the_model_together() -> None:
@@ -126,9 +126,9 @@ def test_errors_none_of_which_is_impossible_contradict_the_model_together() -> N
                 zip(_probes(force_noise=0.0), np.tile([1.0, -1.0], 4), strict=True)
             )
         ]
-        found = contradictions(_fitted(probes))
-        assert {one.kind for one in found} == kinds
-        assert all(one.sigmas < 4.0 for one in found)
+        contradicted = contradictions(_fitted(probes))
+        assert {contradiction.kind for contradiction in contradicted} == kinds
+        assert all(contradiction.sigmas < 4.0 for contradiction in contradicted)
 
 
 def _with_mesh(probe: ProbeObservations, share: float) -> ProbeObservations:
@@ -156,19 +156,19 @@ def test_motion_beyond_the_model_s_error_contradicts_it(noise: float) -> None:
     probes = [_with_mesh(p, 0.002) for p in _probes(count=3, noise=noise, grid=12)]
     assert contradictions(_fitted(probes)) == ()
     wrong = [_bent(probe, 0.2) for probe in probes]
-    found = contradictions(_fitted(wrong))[0]
-    assert found.kind == "unexplained"
-    assert found.sigmas > 5.0
-    assert 0.03 < found.share < 0.3
+    contradiction = contradictions(_fitted(wrong))[0]
+    assert contradiction.kind == "unexplained"
+    assert contradiction.sigmas > 5.0
+    assert 0.03 < contradiction.share < 0.3
     # Largest at the edge of the field, far from the contact.
-    assert found.landmark == ""
+    assert contradiction.landmark == ""
     estimate = fit(wrong).estimate
     assert estimate.status == "model_contradicted"
     assert "unexplained" in estimate.notes[0]
 
 
 @pytest.mark.parametrize(
-    "noise", [1e-6, *(pytest.param(one, marks=pytest.mark.slow) for one in (1e-4, 1e-3))]
+    "noise", [1e-6, *(pytest.param(noise, marks=pytest.mark.slow) for noise in (1e-4, 1e-3))]
 )
 def test_noise_does_not_contradict(noise: float) -> None:
     for seed in range(5):
@@ -184,7 +184,7 @@ def test_an_error_that_its_prior_does_not_allow_contradicts() -> None:
         replace(probe, force=factor * probe.force, nuisances=(force_gain(0.01, name),))
         for probe, factor, name in zip(probes, (1.0, 1.2), "ab", strict=True)
     ]
-    sources = {one.source for one in contradictions(_fitted(sensors))}
+    sources = {contradiction.source for contradiction in contradictions(_fitted(sensors))}
     assert "gain of the force sensor" in sources
 
 

@@ -29,9 +29,9 @@ def test_exact_data_give_exact_constants(poisson_ratio: float, force_noise: floa
     assert estimate.shear_modulus.value == pytest.approx(2e4, rel=1e-8)
     assert estimate.young_modulus.value == pytest.approx(4e4 * (1 + poisson_ratio), rel=1e-8)
     assert estimate.status is Status.OK
-    for one in estimate.probes:
-        assert one.poisson_ratio.value == pytest.approx(poisson_ratio, abs=1e-8)
-        assert one.prediction_error < 1e-10
+    for probe in estimate.probes:
+        assert probe.poisson_ratio.value == pytest.approx(poisson_ratio, abs=1e-8)
+        assert probe.prediction_error < 1e-10
 
 
 def test_auxetic_on_request() -> None:
@@ -80,23 +80,23 @@ def test_units_do_not_matter(length: float, force: float) -> None:
         )
         for p in probes
     ]
-    plain, found = fit(probes).estimate, fit(other).estimate
+    plain, changed = fit(probes).estimate, fit(other).estimate
     # The minimisation stops at 1e-7 standard errors.
-    assert found.poisson_ratio.value == pytest.approx(plain.poisson_ratio.value, abs=1e-8)
+    assert changed.poisson_ratio.value == pytest.approx(plain.poisson_ratio.value, abs=1e-8)
     unit = force / length**2
-    assert found.shear_modulus.value == pytest.approx(unit * plain.shear_modulus.value, rel=1e-8)
-    assert found.young_modulus.std == pytest.approx(unit * plain.young_modulus.std, rel=1e-5)
+    assert changed.shear_modulus.value == pytest.approx(unit * plain.shear_modulus.value, rel=1e-8)
+    assert changed.young_modulus.std == pytest.approx(unit * plain.young_modulus.std, rel=1e-5)
 
 
 @given(order=st.permutations(range(4)))
 @settings(max_examples=5, deadline=None)
 def test_the_order_of_the_probings_does_not_matter(order: list[int]) -> None:
     probes = _probes(count=4, grid=6, noise=5e-5, force_noise=0.01)
-    plain, found = fit(probes).estimate, fit([probes[k] for k in order]).estimate
+    plain, changed = fit(probes).estimate, fit([probes[k] for k in order]).estimate
     # The minimisation stops at 1e-7 standard errors.
-    assert found.poisson_ratio.value == pytest.approx(plain.poisson_ratio.value, abs=1e-8)
-    assert found.shear_modulus.std == pytest.approx(plain.shear_modulus.std, rel=1e-6)
-    assert [one.name for one in found.probes] == [probes[k].name for k in order]
+    assert changed.poisson_ratio.value == pytest.approx(plain.poisson_ratio.value, abs=1e-8)
+    assert changed.shear_modulus.std == pytest.approx(plain.shear_modulus.std, rel=1e-6)
+    assert [probe.name for probe in changed.probes] == [probes[k].name for k in order]
 
 
 class _Turned:
@@ -153,14 +153,14 @@ def test_a_simplex_that_stops_early_reports_its_own_point(monkeypatch: pytest.Mo
     result = fit(probes, settings=FitSettings(method="nelder-mead"))
     joint = result.estimate
     assert joint.status is Status.NOT_CONVERGED
-    for probe, found in zip(probes, result.probes, strict=True):
+    for probe, estimate in zip(probes, result.probes, strict=True):
         value = probe.response.value(joint.poisson_ratio.value)[:, :3]
         expected = (value @ probe.force / joint.shear_modulus.value).reshape(-1, 3)
         left = (probe.displacement - expected) / 3e-5
         # The weights are those of these residuals, too; noise levels of 1 by the claims.
-        np.testing.assert_allclose(found.predicted, expected, rtol=1e-9)
+        np.testing.assert_allclose(estimate.predicted, expected, rtol=1e-9)
         weight = 8 / (8 + (left**2).sum(axis=1))
-        np.testing.assert_allclose(found.weight[:, 0], weight, rtol=1e-6)
+        np.testing.assert_allclose(estimate.weight[:, 0], weight, rtol=1e-6)
 
 
 def test_gross_outliers_do_no_harm() -> None:
@@ -180,7 +180,7 @@ def test_gross_outliers_do_no_harm() -> None:
     assert abs(shift) < plain.poisson_ratio.std
     # Claim and scatter of six probings: a standard error is itself known to 29 %.
     assert robust.poisson_ratio.std < 1.6 * plain.poisson_ratio.std
-    rejected = sum(one.rejected for one in robust.probes)
+    rejected = sum(fitted.rejected for fitted in robust.probes)
     # Nearly all gross errors are beyond the 4.9 sigma of the rejection; clean points almost never.
     assert 0.9 * marked <= rejected <= 1.05 * marked
     least_squares = fit(dirty, settings=FitSettings(noise="gaussian")).estimate
@@ -213,10 +213,10 @@ def test_missing_points_are_counted() -> None:
 def test_noise_that_is_not_claimed_is_estimated() -> None:
     probes = _probes(count=6, noise=3e-5, force_noise=0.01)
     silent = [replace(p, std=None) for p in probes]
-    claimed, found = fit(probes).estimate, fit(silent).estimate
+    claimed, estimated = fit(probes).estimate, fit(silent).estimate
     # 2500 values a component: the level is known to 2 %, its effect on the interval likewise.
-    assert found.poisson_ratio.std == pytest.approx(claimed.poisson_ratio.std, rel=0.15)
-    assert any("estimated from the residuals" in note for note in found.notes)
+    assert estimated.poisson_ratio.std == pytest.approx(claimed.poisson_ratio.std, rel=0.15)
+    assert any("estimated from the residuals" in note for note in estimated.notes)
 
 
 def test_a_component_that_runs_the_other_way_is_told() -> None:
@@ -349,10 +349,10 @@ def test_known_covariances_make_estimates_as_sharp_as_they_claim() -> None:
         std = np.sqrt(np.einsum("naa->na", covariance))
         for known in (True, False):
             given = covariance if known else None
-            one = fit([replace(probe, displacement=field, std=std, covariance=given)]).estimate
-            away[known].append(one.poisson_ratio.value - 0.3)
+            estimate = fit([replace(probe, displacement=field, std=std, covariance=given)]).estimate
+            away[known].append(estimate.poisson_ratio.value - 0.3)
             if known:
-                claims.append(one.poisson_ratio.std)
+                claims.append(estimate.poisson_ratio.std)
     with_it, without = (float(np.sqrt(np.mean(np.square(away[known])))) for known in (True, False))
     # Twenty draws know a standard deviation to 16 %; three of these.
     assert abs(with_it / np.mean(claims) - 1.0) < 0.48

@@ -35,10 +35,10 @@ def test_every_step_lowers_the_objective() -> None:
     theta[:2] = 0.05, np.log(9e4)
     values = []
     for _ in range(15):
-        found = gauss_newton(problem.expanded(theta[0]), theta, poisson_range=RANGE, steps=1)
+        minimum = gauss_newton(problem.expanded(theta[0]), theta, poisson_range=RANGE, steps=1)
         start = problem.expanded(theta[0])
-        values.append((Evaluation(start, theta).value, found.value))
-        theta = found.theta
+        values.append((Evaluation(start, theta).value, minimum.value))
+        theta = minimum.theta
     # The model is expanded anew where nu moves, by 1e-6 of the residuals at most.
     assert all(after <= before * (1 + 1e-5) for before, after in values)
     assert values[-1][1] == pytest.approx(minimum_of(problem).value, rel=1e-6)
@@ -63,25 +63,25 @@ def test_steps_lower_the_objective_where_an_error_of_the_model_changes_with_nu()
     theta[:2] = 0.3, np.log(2e4)
     at = Evaluation(problem, theta)
     for _ in range(15):
-        found = gauss_newton(at.problem, at.theta, poisson_range=RANGE, steps=1)
-        assert found.value <= at.value
-        at = found
+        minimum = gauss_newton(at.problem, at.theta, poisson_range=RANGE, steps=1)
+        assert minimum.value <= at.value
+        at = minimum
     assert gauss_newton(at.problem, at.theta, poisson_range=RANGE).converged
 
 
 def test_the_minimum_is_that_of_a_general_optimiser() -> None:
     probes = [replace(p, nuisances=(force_gain(0.05),)) for p in _probes()]
-    found = minimum_of(problem_of(probes, "student-t"))
-    problem = found.problem
+    minimum = minimum_of(problem_of(probes, "student-t"))
+    problem = minimum.problem
 
     def objective(theta: np.ndarray) -> float:
         return Evaluation(problem, theta).value
 
-    free = minimize(objective, found.theta + 0.01, method="BFGS", options={"gtol": 1e-6})
-    assert found.converged
-    assert found.value == pytest.approx(free.fun, abs=1e-6)
+    free = minimize(objective, minimum.theta + 0.01, method="BFGS", options={"gtol": 1e-6})
+    assert minimum.converged
+    assert minimum.value == pytest.approx(free.fun, abs=1e-6)
     # A flat bottom: the root of the objective's accuracy.
-    np.testing.assert_allclose(found.theta, free.x, atol=2e-3)
+    np.testing.assert_allclose(minimum.theta, free.x, atol=2e-3)
 
 
 def test_what_is_fixed_stays() -> None:
@@ -98,18 +98,18 @@ def test_what_is_fixed_stays() -> None:
 
 def test_the_range_of_nu_is_kept() -> None:
     problem = problem_of(_probes(poisson_ratio=0.45, noise=1e-6))
-    found = minimum_of(problem, (0.0, 0.3))
-    assert found.poisson_ratio == 0.3
+    minimum = minimum_of(problem, (0.0, 0.3))
+    assert minimum.poisson_ratio == 0.3
     # The modulus follows: no step along it lowers the objective.
-    assert abs(found.normal.gradient[1]) < 1e-4 * np.sqrt(found.normal.common[1, 1])
+    assert abs(minimum.normal.gradient[1]) < 1e-4 * np.sqrt(minimum.normal.common[1, 1])
 
 
 def test_noise_that_nobody_told_is_found() -> None:
     probes = [replace(p, std=None) for p in _probes(count=6, grid=14, noise=4e-5)]
-    found = fitted(tuple(map(observed_rows_of, probes)), StudentT(), RANGE)
+    minimum = fitted(tuple(map(observed_rows_of, probes)), StudentT(), RANGE)
     # 1000 values a component: the median of their squares is known to 7 %.
-    np.testing.assert_allclose(found.problem.level[:3], 4e-5, rtol=0.1)
-    assert found.problem.scale == 1.0
+    np.testing.assert_allclose(minimum.problem.level[:3], 4e-5, rtol=0.1)
+    assert minimum.problem.scale == 1.0
 
 
 def _stepped(probe: ProbeObservations, share: float) -> ProbeObservations:
@@ -125,12 +125,12 @@ def _stepped(probe: ProbeObservations, share: float) -> ProbeObservations:
 def test_exact_data_do_not_claim_to_be_better_than_the_model() -> None:
     """No noise, no std: noise levels fall to nothing, and the model's own error keeps its say."""
     probes = [_stepped(p, 0.01) for p in _probes(noise=0.0, grid=10, force_noise=0.0)]
-    found = fitted(tuple(map(observed_rows_of, probes)), StudentT(), RANGE)
-    for variance, probe in zip(found.problem.variance(), probes, strict=True):
+    minimum = fitted(tuple(map(observed_rows_of, probes)), StudentT(), RANGE)
+    for variance, probe in zip(minimum.problem.variance(), probes, strict=True):
         moved = np.linalg.norm(probe.displacement, axis=1).min()
         # At least the share that varies from point to point.
         assert np.sqrt(variance.min()) > np.sqrt(0.3 / 3) * 0.01 * moved
-    assert found.problem.scale == 1.0
+    assert minimum.problem.scale == 1.0
 
 
 def test_a_larger_error_of_the_model_is_seen_in_the_residuals() -> None:
@@ -141,9 +141,9 @@ def test_a_larger_error_of_the_model_is_seen_in_the_residuals() -> None:
         size = np.linalg.norm(probe.displacement, axis=1, keepdims=True) / np.sqrt(3.0)
         off = replace(probe, displacement=probe.displacement + 0.05 * np.sqrt(2.0) * size * wave)
         wrong.append(_stepped(off, 0.01))
-    found = fitted(tuple(map(observed_rows_of, wrong)), StudentT(), RANGE)
+    minimum = fitted(tuple(map(observed_rows_of, wrong)), StudentT(), RANGE)
     # The largest among neighbours is taken, and one wave is not what the process expects.
-    assert 2.0 < found.problem.scale < 10.0
+    assert 2.0 < minimum.problem.scale < 10.0
 
 
 def _clumped(seed: int, clump: int, *, known: bool = False) -> list[ProbeObservations]:

@@ -83,20 +83,20 @@ def test_moments_for_gaussian_noise_by_plain_integration(
 
     power = mean(lambda d2: model.weight(d2, p) ** 2 * d2) / components
     slope = mean(lambda d2: model.weight(d2, p) * d2) / components
-    found = gaussian_moments(model, components)
+    moments = gaussian_moments(model, components)
     # Adaptive quadrature of an integrand that is singular at 0 for one component.
-    assert (found.power, found.slope) == pytest.approx((power, slope), rel=1e-6)
-    assert found.information == pytest.approx(slope / power, rel=1e-6)
+    assert (moments.power, moments.slope) == pytest.approx((power, slope), rel=1e-6)
+    assert moments.information == pytest.approx(slope / power, rel=1e-6)
 
 
 def test_moments_of_the_residuals_own_distribution() -> None:
     """Residuals from Student's t itself: both moments are the Fisher information of its location,
     (nu + p) / (nu + p + 2) per component, and the loss is the right likelihood as it is."""
     draws = multivariate_t(np.zeros(3), np.eye(3), df=8.0, seed=3).rvs(200_000)
-    found = moments_of(StudentT(8.0), (draws**2).sum(1), np.full(200_000, 3.0))
+    moments = moments_of(StudentT(8.0), (draws**2).sum(1), np.full(200_000, 3.0))
     # 200 000 draws: 0.3 % of Monte Carlo error.
-    assert (found.power, found.slope) == pytest.approx((11 / 13, 11 / 13), rel=0.01)
-    assert found.information == pytest.approx(1.0, rel=0.01)
+    assert (moments.power, moments.slope) == pytest.approx((11 / 13, 11 / 13), rel=0.01)
+    assert moments.information == pytest.approx(1.0, rel=0.01)
 
 
 def _rows(*, claimed: float | None = None, **options: object):
@@ -153,9 +153,9 @@ def test_a_tip_alone_or_none_keeps_its_level() -> None:
     """Only with a field beside it is the tip's level drawn towards that of the field."""
     count, level = np.zeros(8, dtype=np.int64), np.arange(1.0, 9.0)
     for groups in ([3], [0, 1, 2]):
-        found = level.copy()
-        _settle_tip(found, np.where(np.isin(np.arange(8), groups), 3, count))
-        np.testing.assert_array_equal(found, level)
+        estimated = level.copy()
+        _settle_tip(estimated, np.where(np.isin(np.arange(8), groups), 3, count))
+        np.testing.assert_array_equal(estimated, level)
     both = level.copy()
     _settle_tip(both, np.full(8, 3))
     # Mean of the field 2, three rows against three.

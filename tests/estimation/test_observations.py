@@ -53,11 +53,11 @@ def test_rows_follow_the_response() -> None:
     field[3] = np.nan
     rows = observed_rows_of(replace(probe, displacement=field, force_std=np.array([1.0, 0.0, 1.0])))
     n = len(field)
-    kept = np.setdiff1d(np.arange(3 * n + 3), [1, 9, 10, 11])
-    np.testing.assert_array_equal(rows.rows, kept)
-    np.testing.assert_array_equal(rows.component_of_row, kept % 3)
+    remaining = np.setdiff1d(np.arange(3 * n + 3), [1, 9, 10, 11])
+    np.testing.assert_array_equal(rows.rows, remaining)
+    np.testing.assert_array_equal(rows.component_of_row, remaining % 3)
     measured = np.concatenate([field.ravel(), probe.tip_displacement])
-    np.testing.assert_array_equal(rows.measured, measured[kept])
+    np.testing.assert_array_equal(rows.measured, measured[remaining])
     # Three points a row at most: the first has two components left, the tip comes last.
     assert rows.components[0] == 2.0
     assert (rows.point[-1], rows.components[-1]) == (n, 3.0)
@@ -117,14 +117,14 @@ def test_rows_of_known_covariance_are_independent_and_equal() -> None:
     rows = observed_rows_of(replace(probe, displacement=field))
     plain = observed_rows_of(replace(probe, displacement=field, covariance=None))
     level = np.ones(8)
-    kept = np.delete(np.arange(len(field)), 3)
+    remaining = np.delete(np.arange(len(field)), 3)
     # The squared length of a residual is what its covariance makes of it.
     value = probe.response.value(0.2)[rows.rows, 2]
     left = (plain.measured - value)[:-3].reshape(-1, 3)
-    inverse = np.linalg.inv(probe.covariance[kept])
+    inverse = np.linalg.inv(probe.covariance[remaining])
     expected = np.einsum("pa,pab,pb->p", left, inverse, left)
-    found = rows.squared_length((rows.measured - rows.whitened(value)) / rows.sigma(level))
-    np.testing.assert_allclose(found[:-1], expected, rtol=1e-9)
+    squared = rows.squared_length((rows.measured - rows.whitened(value)) / rows.sigma(level))
+    np.testing.assert_allclose(squared[:-1], expected, rtol=1e-9)
     variance = rows.sigma(level) ** 2
     np.testing.assert_allclose(
         rows.component_variance(variance), plain.sigma(level) ** 2, rtol=1e-9
@@ -149,9 +149,9 @@ def test_whitening_mixes_the_components_of_each_point_alone() -> None:
     np.testing.assert_allclose(rows.whitening_power()[: 3 * n], np.diag(matrix @ matrix.T))
     weight = np.random.default_rng(2).uniform(1, 2, len(rows.measured))
     expected = matrix.T @ np.diag(weight[: 3 * n]) @ matrix
-    found = rows.component_products(weight)
-    np.testing.assert_allclose(found[1], expected[3:6, 3:6], rtol=1e-9)
-    np.testing.assert_array_equal(found[-1], np.diag(weight[-3:]))
+    products = rows.component_products(weight)
+    np.testing.assert_allclose(products[1], expected[3:6, 3:6], rtol=1e-9)
+    np.testing.assert_array_equal(products[-1], np.diag(weight[-3:]))
 
 
 def _probes(seed: int = 1, **options: object) -> list[ProbeObservations]:
@@ -170,9 +170,9 @@ def test_a_shared_error_widens_the_moduli_and_no_number_of_points_helps(
 ) -> None:
     for count in (3, 12):
         probes = [replace(p, nuisances=(nuisance,)) for p in _probes(count=count, noise=1e-7)]
-        found = fit(probes).estimate
+        estimate = fit(probes).estimate
         # A gain moves both moduli by itself; scales along three axes, by about a weighted mean.
-        assert found.young_modulus.std / found.young_modulus.value > 0.5 * scale
+        assert estimate.young_modulus.std / estimate.young_modulus.value > 0.5 * scale
         bound = fisher_information(probes, poisson_ratio=NU, shear_modulus=SHEAR).bound()
         assert bound["young_modulus"] / 5.2e4 > 0.5 * scale
 
@@ -198,20 +198,20 @@ def test_a_weight_calibrates_the_gauge_of_the_other_probings() -> None:
     gauge = force_gain(0.02, "gauge")
     weighed = [replace(first, nuisances=(force_gain(1e-4, "weights"),))]
     weighed += [replace(p, force=1.03 * p.force, nuisances=(gauge,)) for p in others]
-    found = fit(weighed).estimate
+    estimate = fit(weighed).estimate
     # What one probing alone has is its own.
-    assert [error.name for error in found.errors] == ["gain of the force sensor 'gauge'"]
-    own = [error.name for error in found.probes[0].errors]
-    assert own == ["gain of the force sensor 'weights'"]
+    assert [error.name for error in estimate.errors] == ["gain of the force sensor 'gauge'"]
+    of_the_weight = [error.name for error in estimate.probes[0].errors]
+    assert of_the_weight == ["gain of the force sensor 'weights'"]
     # What takes a reading to the true force.
-    (gain,) = found.errors
+    (gain,) = estimate.errors
     assert gain.value == pytest.approx(-0.03, abs=4 * gain.std)
     assert gain.std < 0.005
-    assert found.young_modulus.value == pytest.approx(5.2e4, abs=4 * found.young_modulus.std)
+    assert estimate.young_modulus.value == pytest.approx(5.2e4, abs=4 * estimate.young_modulus.std)
     # With one sensor for all, the gain is not learnt.
     shared = fit([replace(p, nuisances=(force_gain(0.02),)) for p in weighed])
-    assert found.young_modulus.std < 0.3 * shared.intervals.young_modulus.std
-    assert {entry.source for entry in found.budget} >= {"gain of the force sensor"}
+    assert estimate.young_modulus.std < 0.3 * shared.intervals.young_modulus.std
+    assert {entry.source for entry in estimate.budget} >= {"gain of the force sensor"}
 
 
 def test_a_contact_that_is_off_is_found_and_does_no_harm() -> None:
@@ -223,15 +223,15 @@ def test_a_contact_that_is_off_is_found_and_does_no_harm() -> None:
         mended.append(replace(beside, nuisances=(contact_error_of(beside),)))
     wrong, right = fit(plain).estimate, fit(mended).estimate
     error = {
-        name: abs(found.young_modulus.value / 5.2e4 - 1)
-        for name, found in (("wrong", wrong), ("right", right))
+        name: abs(estimate.young_modulus.value / 5.2e4 - 1)
+        for name, estimate in (("wrong", wrong), ("right", right))
     }
     # Four standard deviations away: terms of third order are left.
     assert error["right"] < 0.2 * error["wrong"]
     assert error["right"] < 0.003
-    for one in right.probes:
-        along = one.errors[0]
-        assert along.name == f"contact point of {one.name} toward +x"
+    for fitted in right.probes:
+        along = fitted.errors[0]
+        assert along.name == f"contact point of {fitted.name} toward +x"
         # The same, and the prior pulls.
         assert along.value == pytest.approx(-1.8e-3, rel=0.25)
     assert any("Likely fault: the contact point of" in n for n in right.notes)
@@ -244,25 +244,27 @@ def test_an_error_beyond_chance_contradicts_the_model(beside: float, status: str
     for shift, probe in zip((beside, 0.0, 0.0), _probes(count=3, grid=10), strict=True):
         moved = replace(probe, response=HalfSpace(probe.response.offset - [shift, 0.0, 0.0]))
         probes.append(replace(moved, nuisances=(contact_error_of(moved, 4e-4),)))
-    found = fit(probes).estimate
-    off = max(abs(one.value / one.prior_std) for probe in found.probes for one in probe.errors)
+    estimate = fit(probes).estimate
+    off = max(
+        abs(error.value / error.prior_std) for probe in estimate.probes for error in probe.errors
+    )
     assert (off > 5.0) is (status == "model_contradicted")
-    assert found.status == status
+    assert estimate.status == status
 
 
 def test_errors_that_are_not_there_stay_small() -> None:
     nuisances = (force_gain(0.01), force_direction(0.01), length_scale(0.003))
     probes = [replace(p, nuisances=(*nuisances, contact_error_of(p))) for p in _probes()]
-    found = fit(probes).estimate
-    every = [*found.errors, *(error for one in found.probes for error in one.errors)]
-    assert len(found.errors) == 7
+    estimate = fit(probes).estimate
+    every = [*estimate.errors, *(error for probe in estimate.probes for error in probe.errors)]
+    assert len(estimate.errors) == 7
     assert len(every) == 7 + 2 * len(probes)
-    assert not any(one.is_surprising for one in every)
-    assert not any("Likely fault" in note for note in found.notes)
-    for one in every:
+    assert not any(error.is_surprising for error in every)
+    assert not any("Likely fault" in note for note in estimate.notes)
+    for estimated in every:
         # The data can only say more than the prior.
-        assert one.std <= one.prior_std * (1.0 + 1e-9)
-    low, high = found.young_modulus.ci95
+        assert estimated.std <= estimated.prior_std * (1.0 + 1e-9)
+    low, high = estimate.young_modulus.ci95
     assert low < 5.2e4 < high
 
 
@@ -275,8 +277,8 @@ def test_simplex_and_scoring_agree_with_errors() -> None:
     slow = fit(probes, settings=FitSettings(method="nelder-mead")).estimate
     # Columns are taken under the measured force by one, under the true one by the other.
     for name in ("poisson_ratio", "shear_modulus", "young_modulus"):
-        one, other = getattr(quick, name), getattr(slow, name)
-        assert other.value == pytest.approx(one.value, abs=0.1 * one.std)
+        first, other = getattr(quick, name), getattr(slow, name)
+        assert other.value == pytest.approx(first.value, abs=0.1 * first.std)
 
 
 @pytest.mark.parametrize("noise", [NOISE, 10 * NOISE])
@@ -284,9 +286,9 @@ def test_one_probing_alone_is_no_surer_than_its_gauge(noise):
     """Whether the interval comes from a parabola or from the misfit's profile."""
     (probe,) = _probes(count=1, noise=noise)
     gained = replace(probe, nuisances=(force_gain(0.05),))
-    plain, found = (fit([one]).estimate for one in (probe, gained))
+    plain, gained_fit = (fit([observed]).estimate for observed in (probe, gained))
     for name in ("shear_modulus", "young_modulus"):
-        low, high = getattr(found, name).ci95
+        low, high = getattr(gained_fit, name).ci95
         known = np.log(np.divide(*getattr(plain, name).ci95)) / (2 * 1.96)
         # Variances add; the quantile of few degrees of freedom only makes it wider.
         assert np.log(high / low) / (2 * 1.96) > 0.98 * np.hypot(0.05, known), name

@@ -62,11 +62,11 @@ def test_eliminating_blocks_is_inverting_the_whole(minimum) -> None:
 
 @pytest.mark.parametrize("noise", [1e-8, 5e-5, 5e-3])
 def test_no_posterior_is_wider_than_its_prior(noise: float) -> None:
-    found = fit(_probes(noise=noise)).estimate
-    every = [*found.errors, *(error for one in found.probes for error in one.errors)]
+    estimate = fit(_probes(noise=noise)).estimate
+    every = [*estimate.errors, *(error for probe in estimate.probes for error in probe.errors)]
     assert len(every) >= 8
     # Equal where the data say nothing: rounding of an inverse.
-    assert max(one.std / one.prior_std for one in every) < 1.0 + 1e-6
+    assert max(error.std / error.prior_std for error in every) < 1.0 + 1e-6
 
 
 def test_the_budget_is_all_of_the_variance(minimum) -> None:
@@ -107,9 +107,9 @@ def test_the_profile_is_a_search_with_the_constants_held() -> None:
         theta[:2] = nu, np.log(modulus)
         held = gauss_newton(minimum.problem, theta, fixed=(0, 1), poisson_range=RANGE)
         at = int(np.abs(profile.poisson_ratio - nu).argmin())
-        found = profile.deviance(np.array([modulus]))[at, 0]
+        deviance = profile.deviance(np.array([modulus]))[at, 0]
         # Effects of errors are those at the minimum, whose own change is left out.
-        assert found == pytest.approx(held.value - minimum.value, rel=0.15, abs=0.02)
+        assert deviance == pytest.approx(held.value - minimum.value, rel=0.15, abs=0.02)
 
 
 def test_a_modulus_is_never_negative() -> None:

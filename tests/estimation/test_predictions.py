@@ -25,9 +25,9 @@ KNOWN = {"shear_modulus": True, "poisson_ratio": True, "young_modulus": True}
 @pytest.fixture(scope="module")
 def probes():
     rng = np.random.default_rng(5)
-    found = half_space_probes(rng, count=3, grid=6, noise=5e-5, force_noise=0.01)
+    exact = half_space_probes(rng, count=3, grid=6, noise=5e-5, force_noise=0.01)
     # An error that all probings share: its prior is part of the objective.
-    return [replace(one, nuisances=(force_gain(0.01),)) for one in found]
+    return [replace(observed, nuisances=(force_gain(0.01),)) for observed in exact]
 
 
 @pytest.fixture(scope="module")
@@ -36,11 +36,11 @@ def minimum(probes):
 
 
 def test_at_the_best_constants_it_is_the_fit(minimum):
-    found = at_constants(minimum, minimum.poisson_ratio, minimum.shear_modulus)
+    evaluated = at_constants(minimum, minimum.poisson_ratio, minimum.shear_modulus)
     # The search ends where the objective falls no more by what counts: 6 is the edge of a region.
-    assert abs(found.value - minimum.value) < 1e-3
+    assert abs(evaluated.value - minimum.value) < 1e-3
     for index, fit in enumerate(probe_fits(minimum, RANGE)):
-        predicted = found.problem.predicted_points(index, found.theta)
+        predicted = evaluated.problem.predicted_points(index, evaluated.theta)
         np.testing.assert_allclose(predicted, fit.predicted, atol=1e-7)
 
 
@@ -63,8 +63,8 @@ def test_forces_that_are_exact_leave_displacements_inverse_to_the_modulus():
     minimum = minimum_of(problem_of(probes))
     soft, stiff = (at_constants(minimum, 0.3, modulus) for modulus in (1e4, 2e4))
     for index in range(2):
-        one, other = (at.problem.predicted_points(index, at.theta) for at in (soft, stiff))
-        np.testing.assert_allclose(one, 2.0 * other, rtol=1e-12)
+        first, other = (at.problem.predicted_points(index, at.theta) for at in (soft, stiff))
+        np.testing.assert_allclose(first, 2.0 * other, rtol=1e-12)
 
 
 def test_predictions_are_those_of_the_constants(probes) -> None:
@@ -139,10 +139,10 @@ def test_left_out_is_as_uncertain_as_what_a_fit_of_the_others_predicts():
     probes = half_space_probes(rng, count=3, grid=4, noise=noise, force_noise=0.0)
     for k, fit in enumerate(probe_fits(minimum_of(problem_of(probes)), RANGE)):
         others = minimum_of(problem_of(probes[:k] + probes[k + 1 :]))
-        (found,) = predictions_of(others, probes[k : k + 1])
+        (prediction,) = predictions_of(others, probes[k : k + 1])
         spread = np.sqrt((fit.left_out_sigma**2 - noise**2).mean())
         # At constants that are a standard deviation apart, of a tenth at most.
-        assert spread == pytest.approx(np.sqrt((found.std**2).mean()), rel=0.1)
+        assert spread == pytest.approx(np.sqrt((prediction.std**2).mean()), rel=0.1)
         assert spread > 0.1 * noise
 
 
@@ -152,13 +152,13 @@ def test_points_are_counted_and_residuals_averaged() -> None:
                          [np.nan, 1.0, np.nan]])  # fmt: skip
     weight = np.array([0.25, 0.9, 0.249, 0.0, 0.5])[:, None] * np.isfinite(residual)
     fit = ProbeFit("n", np.zeros((5, 3)), residual, weight, np.full((5, 3), 2.0))
-    found = probe_estimate(IntervalSet(ratio, modulus, modulus), KNOWN, fit)
-    assert (found.observed, found.missing, found.rejected) == (4, 1, 1)
+    estimate = probe_estimate(IntervalSet(ratio, modulus, modulus), KNOWN, fit)
+    assert (estimate.observed, estimate.missing, estimate.rejected) == (4, 1, 1)
     # Lengths 5, 5 and 1 of the three that are kept.
-    assert found.rms_residual == pytest.approx(np.sqrt(51 / 3), rel=1e-12)
+    assert estimate.rms_residual == pytest.approx(np.sqrt(51 / 3), rel=1e-12)
     squares = 1 + 4 + 4 + 4 + 4 + 9 + 1
-    assert found.prediction_error == pytest.approx(np.sqrt(squares / 3), rel=1e-12)
-    assert (found.prediction_score, found.prediction_within) == (None, None)
+    assert estimate.prediction_error == pytest.approx(np.sqrt(squares / 3), rel=1e-12)
+    assert (estimate.prediction_score, estimate.prediction_within) == (None, None)
     alone = probe_estimate(
         IntervalSet(ratio, modulus, modulus), KNOWN, replace(fit, left_out_predicted=None)
     )
@@ -181,9 +181,9 @@ def test_the_size_of_errors_is_that_with_which_they_were_drawn():
             logs = []
             for _ in range(draws):
                 measured = size * rng.normal(size=count) + noise * rng.normal(size=count)
-                told = 1.0 / (1.0 + noise**2)
-                std = np.full(count, np.sqrt(1.0 - told))
-                logs.append(np.log(size_of_errors(told * measured, std) / size))
+                determined = 1.0 / (1.0 + noise**2)
+                std = np.full(count, np.sqrt(1.0 - determined))
+                logs.append(np.log(size_of_errors(determined * measured, std) / size))
             # A standard deviation from 30 of them has a relative error of 1 / sqrt(60), more by
             # what the noise hides of the smaller ones.
             expected = (1.0 + (noise / size) ** 2) / np.sqrt(2.0 * count)
@@ -202,11 +202,11 @@ def test_where_the_data_tell_nothing_errors_are_as_large_as_their_prior_says():
 def test_planned_pushes_predict_as_well_as_a_fit_of_them_does():
     rng = np.random.default_rng(9)
     probes = half_space_probes(rng, count=4, grid=8, noise=5e-5)
-    probes = [replace(each, nuisances=(force_gain(0.01),)) for each in probes]
+    probes = [replace(probe, nuisances=(force_gain(0.01),)) for probe in probes]
     fitted = minimum_of(problem_of(probes[:3]))
-    (found,) = predictions_of(fitted, probes[3:])
+    (prediction,) = predictions_of(fitted, probes[3:])
     information = fisher_information(probes, poisson_ratio=0.3, shear_modulus=2e4)
-    expected = np.sqrt((found.std**2).sum() / (found.predicted**2).sum())
+    expected = np.sqrt((prediction.std**2).sum() / (prediction.predicted**2).sum())
     # At the true constants in place of the fitted ones, which are off by a percent.
     assert information.prediction([0, 1, 2], [3]) == pytest.approx(expected, rel=0.05)
     assert information.prediction([0], [3]) > 1.2 * expected

@@ -59,9 +59,9 @@ def _everything(rng: np.random.Generator) -> list[ProbeObservations]:
         def change(nu: float, moving: _Moving = response) -> np.ndarray:
             return 1e3 * nu**2 * moving.value(nu)[:, :5]
 
-        def give(at: ResponseTerms, columns: int = columns) -> np.ndarray:
-            own = np.full((len(at.rows), columns, 1), 5e-4 * at.poisson_ratio)
-            return np.stack([np.zeros_like(own), own], axis=1)
+        def effects(at: ResponseTerms, columns: int = columns) -> np.ndarray:
+            effect = np.full((len(at.rows), columns, 1), 5e-4 * at.poisson_ratio)
+            return np.stack([np.zeros_like(effect), effect], axis=1)
 
         def corrected(at: ResponseTerms) -> np.ndarray:
             return fixed_displacement(np.ones((len(at.rows), 1)), at)
@@ -84,7 +84,7 @@ def _everything(rng: np.random.Generator) -> list[ProbeObservations]:
                     force_direction(0.02),
                     length_scale(0.003),
                     model_step("mesh", 0.4, lambda nu, m=response: m.value(nu)[:, None], wider),
-                    Nuisance((NuisanceParameter("compliance of support 1", 0.5, "m/Pa"),), give),
+                    Nuisance((NuisanceParameter("compliance of support 1", 0.5, "m/Pa"),), effects),
                     Nuisance((NuisanceParameter("correction", 1.0),), corrected),
                     contact_error(contact, STEPS, change, count),
                     tool_slip(slips, np.eye(3)[:2], count),
@@ -103,8 +103,8 @@ def test_the_jacobian_is_the_derivative_of_the_prediction() -> None:
     tables = problem.linearised(theta)[1]
     for index, block in enumerate(layout.blocks):
         whole = np.vstack([tables[index], patterns(problem, index)])
-        own = [*range(layout.common), *range(block.whole.start, block.whole.stop)]
-        for row, entry in enumerate(own):
+        entries = [*range(layout.common), *range(block.whole.start, block.whole.stop)]
+        for row, entry in enumerate(entries):
             step = np.zeros(layout.size)
             # Of second order in all but log G.
             size = 1e-4 if entry == 1 else 1e-2
@@ -123,7 +123,8 @@ def test_an_expansion_is_right_to_second_order() -> None:
     for offset in (0.04, 0.02):
         theta[:2] = 0.28 + offset, np.log(2e4)
         far, near = (
-            each.linearised(theta)[0][0] for each in (problem, problem.expanded(0.28 + offset))
+            expanded.linearised(theta)[0][0]
+            for expanded in (problem, problem.expanded(0.28 + offset))
         )
         missed.append(np.linalg.norm(far - near))
     assert missed[0] / missed[1] == pytest.approx(4.0, rel=0.15)
@@ -134,13 +135,15 @@ def test_models_made_when_asked_for_are_those_that_are_kept() -> None:
     theta = 0.3 * np.random.default_rng(4).normal(size=problem.layout.size)
     theta[:2] = 0.28, np.log(2e4)
     made = problem.of(problem.probes, problem.shared, theta)
-    kept = made.expanded(0.28)
-    assert isinstance(kept.expansions, tuple)
+    expanded = made.expanded(0.28)
+    assert isinstance(expanded.expansions, tuple)
     assert not isinstance(made.expansions, tuple)
-    for found, wanted in zip(made.linearised(theta), kept.linearised(theta), strict=True):
-        for one, other in zip(found, wanted, strict=True):
-            np.testing.assert_array_equal(one, other)
-    assert [len(each.effects) for each in made.expansions[1:]] == [len(kept.expansions[1].effects)]
+    for actual, wanted in zip(made.linearised(theta), expanded.linearised(theta), strict=True):
+        for first, other in zip(actual, wanted, strict=True):
+            np.testing.assert_array_equal(first, other)
+    assert [len(expansion.effects) for expansion in made.expansions[1:]] == [
+        len(expanded.expansions[1].effects)
+    ]
 
 
 def test_the_prediction_is_the_formula() -> None:
@@ -176,7 +179,7 @@ def test_probings_share_by_name() -> None:
     names = [parameter.name for parameter in problem.shared]
     assert names[0] == "gain of the force sensor"
     assert names[-1] == "correction"
-    assert [one.name for one in problem.own(1)] == ["n02 0", "n02 1", "n02 a", "n02 b"]
+    assert [error.name for error in problem.own(1)] == ["n02 0", "n02 1", "n02 a", "n02 b"]
     # One probing alone has nobody to share with, but keeps what the session shares.
     assert problem_of(_everything(np.random.default_rng(7))[:1]).shared == ()
     theta = np.arange(float(problem.layout.size))
@@ -222,7 +225,7 @@ def test_the_covariance_has_the_size_of_the_fields() -> None:
     probe = observed_rows_of(_probe())
     fields = np.full((len(probe.measured), 1), 2e-6)
     unknown = _unknown(probe, fields)
-    smooth = np.stack([unknown.moved(one) for one in np.eye(unknown.count)])[1:]
+    smooth = np.stack([unknown.moved(coefficients) for coefficients in np.eye(unknown.count)])[1:]
     covariance_of_rows = smooth.T @ smooth + np.diag(unknown.variance)
     # One field of size s has variance s^2 of every component.
     np.testing.assert_allclose(np.diag(covariance_of_rows), 4e-12, rtol=1e-6)
@@ -242,7 +245,7 @@ def test_products_are_those_of_the_dense_patterns() -> None:
     probe = replace(probe, covariance=1e-12 * (np.eye(3) + mixed @ mixed.swapaxes(1, 2)))
     rows = observed_rows_of(probe)
     unknown = _unknown(rows, rng.normal(size=(len(rows.measured), 2)))
-    dense = np.stack([unknown.moved(one) for one in np.eye(unknown.count)])
+    dense = np.stack([unknown.moved(coefficients) for coefficients in np.eye(unknown.count)])
     columns, weight = rng.normal(size=(4, dense.shape[1])), rng.uniform(1, 2, dense.shape[1])
     cross, whole = unknown.products(columns, weight)
     # The same sums in another order.
@@ -306,12 +309,12 @@ def test_an_error_that_all_probings_share_does_not_average_out() -> None:
     looks = [replace(look, name=f"look {k}", std=std, nuisances=(step,)) for k in range(8)]
 
     def found(displacement: np.ndarray, count: int = 8) -> tuple[float, float]:
-        probes = [replace(each, displacement=displacement) for each in looks[:count]]
+        probes = [replace(repeated, displacement=displacement) for repeated in looks[:count]]
         minimum = minimum_of(problem_of(probes))
         return minimum.poisson_ratio, float(np.sqrt(minimum.normal.covariance[0, 0]))
 
     off = look.displacement + size * rng.normal(size=(draws, *look.displacement.shape))
-    ratios, claims = np.transpose([found(each) for each in off])
+    ratios, claims = np.transpose([found(displacement) for displacement in off])
     assert found(look.displacement)[1] == pytest.approx(found(look.displacement, 1)[1], rel=0.02)
     # A scatter from 60 draws is known to 9 %; eight independent looks would claim a third of it.
     assert np.std(ratios) == pytest.approx(claims.mean(), rel=0.3)

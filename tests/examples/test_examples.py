@@ -78,8 +78,8 @@ def test_many_fits():
 def test_range_flow():
     # The median of 500 points that share pixels: about a tenth of one point's sigma, which is 1, 1
     # and 3 micrometres; and the bias of 0.005 px, 1.5 micrometres across and more in depth.
-    found = run_example("11_range_flow.py")
-    assert found == pytest.approx([2e-4, -1e-4, 3e-4], abs=2e-6)
+    printed = run_example("11_range_flow.py")
+    assert printed == pytest.approx([2e-4, -1e-4, 3e-4], abs=2e-6)
 
 
 @pytest.mark.slow

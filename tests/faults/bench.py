@@ -42,8 +42,8 @@ def write_bench(folder: Path) -> None:
     write_rig_covariance(folder, known)
     for camera in ("c0", "c1"):
         (folder / "boards" / camera).mkdir(parents=True)
-        for place in (folder / f"rest_{camera}.png", folder / "boards" / camera / "01.png"):
-            cv2.imwrite(str(place), rng.integers(20, 230, (48, 64), dtype=np.uint8))
+        for file in (folder / f"rest_{camera}.png", folder / "boards" / camera / "01.png"):
+            cv2.imwrite(str(file), rng.integers(20, 230, (48, 64), dtype=np.uint8))
     (folder / "scan").mkdir()
     (folder / "scan" / "scan.toml").write_text(SCAN)
     side = np.linspace(0.0, 40.0, 20)

@@ -33,7 +33,7 @@ _LARGEST = 20_000
 _IN_CHILDREN = (".avi", ".e57", ".e", ".mat", ".msh", ".vtk", ".vtu")
 
 
-def _run(samples: list[tuple[Path, Reader]], found: Path) -> None:
+def _run(samples: list[tuple[Path, Reader]], folder: Path) -> None:
     goods = [path.read_bytes() for path, _ in samples]
 
     def try_one(data: bytes) -> None:
@@ -49,12 +49,12 @@ def _run(samples: list[tuple[Path, Reader]], found: Path) -> None:
             frames = [
                 f for f in traceback.extract_tb(error.__traceback__) if "palpate" in f.filename
             ]
-            place = f"{path.name} {type(error).__name__} {frames[-1].filename} {frames[-1].lineno}"
-            name = hashlib.sha256(place.encode()).hexdigest()[:12]
-            if not (found / name).exists():
-                (found / name).write_bytes(data[1:])
-                (found / f"{name}.txt").write_text(
-                    f"{place}\n{time.perf_counter() - start:.1f} s\n"
+            origin = f"{path.name} {type(error).__name__} {frames[-1].filename} {frames[-1].lineno}"
+            name = hashlib.sha256(origin.encode()).hexdigest()[:12]
+            if not (folder / name).exists():
+                (folder / name).write_bytes(data[1:])
+                (folder / f"{name}.txt").write_text(
+                    f"{origin}\n{time.perf_counter() - start:.1f} s\n"
                     + "".join(traceback.format_exception(error))
                 )
         finally:

@@ -25,7 +25,7 @@ _PLAN = ("lab", "plan", "pictured", "--young-modulus", "50kPa")
 _RUN = ("campaign", "run", "list.txt", "--out", "made")
 _THREE = "v 0 0 0\nv 0.04 0 0\nv 0 0.04 0\nf 1 2 3\n"
 _SHOWN = ("--screenshot", "made.png")
-_TABLES = tuple(("campaign", one, "many") for one in ("status", "table", "plot"))
+_TABLES = tuple(("campaign", command, "many") for command in ("status", "table", "plot"))
 # What reads a file; what is read besides it is good. A word of the message besides the name.
 _READERS: dict[str, tuple[tuple[tuple[str, ...], ...], str]] = {
     "boards/c0/01.png": ((_CHESSBOARD,), ""),
@@ -59,8 +59,8 @@ def _spoilt(name: str, damage: Damage) -> Damage:
     return lambda folder: damage(folder / name)
 
 
-def _kind(command: tuple[str, ...], name: str, place: str, damage: Damage, word: str) -> Kind:
-    title = f"{' '.join(command[:2])}: {name} {place}"
+def _kind(command: tuple[str, ...], name: str, where: str, damage: Damage, word: str) -> Kind:
+    title = f"{' '.join(command[:2])}: {name} {where}"
     return Kind(title, _spoilt(name, damage), command, (word,), "bench")
 
 
@@ -121,11 +121,11 @@ KINDS = [
     Kind("a result named like a report", lambda folder: None,
          ("fit", "cube", "--out", "cube.html"), ("a result is a folder", "a result is a folder: --out"), example="bench"),
     *(
-        _kind(command, name, place, damage, _GOOD.get((name, place)) or word)
+        _kind(command, name, where, damage, _GOOD.get((name, where)) or word)
         for name, (commands, word) in _READERS.items()
         for command in commands
-        for place, (damage, _) in PLACES.items()
-        if _GOOD.get((name, place), word) is not None
+        for where, (damage, _) in PLACES.items()
+        if _GOOD.get((name, where), word) is not None
     ),
     *(
         _option(None, *_CHESSBOARD[:2], "--target", target, "--columns", count, *_SQUARES[2:],

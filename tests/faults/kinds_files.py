@@ -120,12 +120,12 @@ def _spoilt(name: str, damage: Damage, named: str) -> Damage:
 
 KINDS = [
     Kind(
-        f"{name}: {place}",
+        f"{name}: {where}",
         _spoilt(name, damage, named),
         command,
         (Path(name).name.partition(".")[0].partition("_c0")[0], word),
         example,
     )
     for name, (example, command, named) in _FILES.items()
-    for place, (damage, word) in PLACES.items()
+    for where, (damage, word) in PLACES.items()
 ]

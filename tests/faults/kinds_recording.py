@@ -58,8 +58,8 @@ def _shortened(folder: Path) -> None:
 
 def _both(*damages: Callable[[Path], object]) -> Callable[[Path], None]:
     def damage(folder: Path) -> None:
-        for each in damages:
-            each(folder)
+        for damage_one in damages:
+            damage_one(folder)
 
     return damage
 

@@ -33,10 +33,10 @@ def _value(*keys: str | int, to: Any) -> Callable[[Path], object]:
 
     def damage(folder: Path) -> None:
         path = folder / "result" / "estimate.json"
-        content = place = json.loads(path.read_text())
+        content = table = json.loads(path.read_text())
         for key in keys[:-1]:
-            place = place[key]
-        place[keys[-1]] = to
+            table = table[key]
+        table[keys[-1]] = to
         path.write_text(json.dumps(content))
 
     return damage
@@ -49,7 +49,7 @@ def _sealed(damage: Callable[[Path], object]) -> Callable[[Path], object]:
         damage(folder)
         result = folder / "result"
         contents = result / CONTENTS_FILE
-        files = [each for each in result.rglob("*") if each.is_file() and each != contents]
+        files = [file for file in result.rglob("*") if file.is_file() and file != contents]
         head = contents.read_text().splitlines()[0]
         contents.write_text(f"{head}\n{sums_text(file_sums(files, start=result))}")
 
@@ -61,8 +61,8 @@ def _array(name: str, to: Any) -> Callable[[Path], object]:
 
     def damage(folder: Path) -> None:
         path = folder / "result" / "surface.npz"
-        with np.load(path) as kept:
-            content = dict(kept)
+        with np.load(path) as stored:
+            content = dict(stored)
         np.savez(path, **content | {name: np.array(to)})
 
     return _sealed(damage)

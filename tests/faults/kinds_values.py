@@ -35,7 +35,7 @@ def _valued(file: str, key: str, value: str) -> Callable[[Path], object]:
         path = folder / file
         text, count = re.subn(
             rf"(?m)((?:^|[ {{]){key} = )(\[\[.*?\]\]|\[.*?\]|\{{.*?\}}|[^,\n}}]+)",
-            lambda found: found[1] + value,
+            lambda number: number[1] + value,
             path.read_text(),
             count=1,
         )

@@ -223,23 +223,23 @@ def write_results(folder: Path) -> list[tuple[str, Path]]:
         "opencorr": (_texts("point_tables").OPENCORR, _texts("point_tables")._opencorr_rows(), ","),
         "planar": ("x,y,u,v", np.column_stack([PLACE[:, :2], MOVE[:, :2]]), ","),
     }
-    found = []
+    samples = []
     for kind, (header, rows, delimiter) in tables.items():
         file = write_table(folder / f"{kind}.txt", header, rows, delimiter=delimiter)
-        found.append((kind, file))
+        samples.append((kind, file))
     for form in ("large", "small", "hdf5"):
-        found.append(("dice", write_exodus(folder / f"{form}.e", dice_states(), form=form)))
+        samples.append(("dice", write_exodus(folder / f"{form}.e", dice_states(), form=form)))
     for version in ("5", "7.3"):
         file = folder / f"v{version}.mat"
-        found.append(("duodic", write_mat(file, "DIC3D", multidic_states(), version=version)))
+        samples.append(("duodic", write_mat(file, "DIC3D", multidic_states(), version=version)))
     row = np.zeros(4, dtype=import_module("palpate.records.programs.point_tables")._PYVALE_ROW)
     row["place_mm"], row["disp_mm"], row["converged"], row["stereo_converged"] = PLACE, MOVE, 1, 1
     (folder / "rows.dic3d").write_bytes(row.tobytes())
     for suffix in (".vtu", ".vtk"):
         grid = meshio.Mesh(PLACE, [("triangle", [[0, 1, 2]])], point_data={"displacement": MOVE})
         grid.write(folder / f"grid{suffix}")
-        found.append(("vtu", folder / f"grid{suffix}"))
-    return [*found, ("pyvale", folder / "rows.dic3d")]
+        samples.append(("vtu", folder / f"grid{suffix}"))
+    return [*samples, ("pyvale", folder / "rows.dic3d")]
 
 
 def write_estimate_sample(file: Path) -> None:
@@ -301,12 +301,12 @@ def write_scans(folder: Path) -> list[tuple[Path, Reader]]:
         write_pcd(folder / f"{kind}.pcd", kind)
     import_module("scanning.test_scan_file").write(folder / "scan.e57", "e57")
     names = ("scan.npy", "scan.xyz", "scan_points.ply", "ascii.pcd", "binary.pcd", "scan.e57")
-    found: list[tuple[Path, Reader]] = [(folder / name, read_points) for name in names]
+    samples: list[tuple[Path, Reader]] = [(folder / name, read_points) for name in names]
     cv2.imwrite(str(folder / "depth.png"), np.full((12, 16), 800, dtype=np.uint16))
     camera = two_cameras().cameras[0]
     depth = partial(depth_points, camera=replace(camera, size=None), metres_per_level=1e-3)
     (folder / "scan.toml").write_text(SCAN)
-    return [*found, (folder / "depth.png", depth), (folder / "scan.toml", read_scan)]
+    return [*samples, (folder / "depth.png", depth), (folder / "scan.toml", read_scan)]
 
 
 def write_samples(folder: Path) -> list[tuple[Path, Reader]]:
@@ -316,33 +316,33 @@ def write_samples(folder: Path) -> list[tuple[Path, Reader]]:
     """
     write_cube(folder)
     session = folder / "session.toml"
-    found: list[tuple[Path, Reader]] = [
+    samples: list[tuple[Path, Reader]] = [
         (folder / name, lambda _path: read_session(session))
         for name in ("session.toml", "n01.csv", "mesh.ply")
     ]
     (folder / "giving.toml").write_text(GIVING)
-    found.append((folder / "giving.toml", read_session))
+    samples.append((folder / "giving.toml", read_session))
     (folder / "creeping.toml").write_text(CREEPING)
     (folder / "series.csv").write_text(SERIES)
     shutil.copyfile(folder / "n01.csv", folder / "frame.csv")
-    found += [
+    samples += [
         (folder / name, lambda _path: read_session(folder / "creeping.toml"))
         for name in ("series.csv", "frame.csv")
     ]
-    found += [(file, read_mesh) for file in write_meshes(folder)]
-    found += [(file, read_rig) for file in write_rigs(folder)]
+    samples += [(file, read_mesh) for file in write_meshes(folder)]
+    samples += [(file, read_rig) for file in write_rigs(folder)]
     for kind, file in write_results(folder):
-        found.append((file, partial(_measured, kind)))
-    found += list(zip(write_texts(folder), _TEXTS.values(), strict=True))
-    found += write_scans(folder)
+        samples.append((file, partial(_measured, kind)))
+    samples += list(zip(write_texts(folder), _TEXTS.values(), strict=True))
+    samples += write_scans(folder)
     write_estimate_sample(folder / "estimate.json")
-    found.append((folder / "estimate.json", read_estimate))
-    found += write_recorded(folder / "recorded")
-    found += write_kept(folder / "kept")
+    samples.append((folder / "estimate.json", read_estimate))
+    samples += write_recorded(folder / "recorded")
+    samples += write_kept(folder / "kept")
     for file in write_pictures(folder):
         pattern = folder / file.name.replace("c0", "{camera}")
-        found.append((file, lambda _path, p=pattern: _read_picture(p)))
-    return found
+        samples.append((file, lambda _path, p=pattern: _read_picture(p)))
+    return samples
 
 
 def write_recorded(folder: Path) -> list[tuple[Path, Reader]]:

@@ -38,8 +38,8 @@ def _damaged(draw: st.DrawFn, content: bytes) -> bytes:
     """A file with one to three pieces cut out, doubled, moved or replaced."""
     for _ in range(draw(st.integers(1, 3))):
         numbers = [(m.start(), m.end()) for m in _NUMBER.finditer(content[:20_000])]
-        place = draw(st.integers(0, max(len(content) - 1, 0)))
-        piece = (place, place + draw(st.sampled_from([0, 1, 4, 8, 100, len(content)])))
+        begin = draw(st.integers(0, max(len(content) - 1, 0)))
+        piece = (begin, begin + draw(st.sampled_from([0, 1, 4, 8, 100, len(content)])))
         if numbers and draw(st.booleans()):
             piece = draw(st.sampled_from(numbers))
         start, end = piece
@@ -105,7 +105,7 @@ def test_every_sample_is_tried_and_good(samples: list[tuple[Path, Reader]]) -> N
 
 @pytest.mark.parametrize("bad", _CORPUS, ids=lambda path: f"{path.parent.name} {path.name}")
 def test_what_was_found_stays_mended(samples: list[tuple[Path, Reader]], bad: Path) -> None:
-    ((file, read),) = [one for one in samples if one[0].name == bad.parent.name]
+    ((file, read),) = [sample for sample in samples if sample[0].name == bad.parent.name]
     good = file.read_bytes()
     try:
         read_damaged(file, read, bad.read_bytes())

@@ -135,7 +135,7 @@ def place(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _copied(name: str, request: pytest.FixtureRequest, work: Path) -> None:
     """A folder with what a command reads; what few commands need is made for them alone."""
     work.mkdir()
-    place: Path = request.getfixturevalue("place")
+    prepared: Path = request.getfixturevalue("place")
     for read in _READS[name]:
         if read in ("recorded", "pictured"):
             shutil.copytree(request.getfixturevalue(read), work / read)
@@ -143,10 +143,10 @@ def _copied(name: str, request: pytest.FixtureRequest, work: Path) -> None:
                 _speckle(work / read)
         elif read == "ball":
             write_scan(work / read)
-        elif (place / read).is_dir():
-            shutil.copytree(place / read, work / read)
+        elif (prepared / read).is_dir():
+            shutil.copytree(prepared / read, work / read)
         else:
-            shutil.copy2(place / read, work / read)
+            shutil.copy2(prepared / read, work / read)
 
 
 def _speckle(folder: Path) -> None:
@@ -183,8 +183,8 @@ def test_old_or_new_whichever_step_fails(
 ) -> None:
     every = 5 if name in _SLOW and not _IN_EVERY_WAY else 1
     for step in range(1, 1 + _killed(name, request, tmp_path, monkeypatch), every):
-        one = fault if fault in _FAULTS else _FAULTS[step % len(_FAULTS)]
-        _failing(name, step, one, request, tmp_path, monkeypatch)
+        step_fault = fault if fault in _FAULTS else _FAULTS[step % len(_FAULTS)]
+        _failing(name, step, step_fault, request, tmp_path, monkeypatch)
 
 
 def _killed(
@@ -205,7 +205,7 @@ def _killed(
     assert _hidden(work) == []
     # What is opened to be written is hidden until it is whole: a kill between two steps is one too.
     opened = (copies / "opened.txt").read_text().splitlines()
-    assert [one for one in opened if not _is_hidden(one)] == []
+    assert [name_opened for name_opened in opened if not _is_hidden(name_opened)] == []
     states = sorted(path for path in copies.iterdir() if path.is_dir())
     assert len(states) > 4
     assert all(_visible(state) in (before, after) for state in states)
@@ -253,9 +253,9 @@ def _failing(
 def _viewed(rig: Rig, mesh: TriangleMesh, *_: object, **__: object) -> ObjectView:
     """What pictures of an object would tell, in the place of pictures that show one."""
     points = mesh.vertices
-    found = register(points, None, mesh)
+    registration = register(points, None, mesh)
     grey = tuple(np.zeros(camera.size[::-1]) for camera in rig.cameras)
-    return ObjectView(rig, found, found.covariance, len(points), None, grey, ())
+    return ObjectView(rig, registration, registration.covariance, len(points), None, grey, ())
 
 
 def _check_again(

@@ -39,8 +39,8 @@ def _tree(folder: Path) -> dict[str, bytes]:
     ],
 )
 def test_what_may_not_be_read_is_named(work: Path, closed: str, words: tuple[str, ...]) -> None:
-    place = work / ("pictured/rig.toml" if closed == "rig.toml" else closed)
-    place.chmod(0o000)
+    target = work / ("pictured/rig.toml" if closed == "rig.toml" else closed)
+    target.chmod(0o000)
     code, said = without_rights(lambda: main(list(words)))
     assert code == 2
     assert "ermission denied" in said

@@ -205,8 +205,8 @@ def _as_user() -> None:
     os.setuid(_USER)
     # Version 3 of the header, this process; effective, permitted and inheritable, twice.
     header = struct.pack("Ii", 0x20080522, 0)
-    kept = struct.pack("6I", _READ_SEARCH, _READ_SEARCH, 0, 0, 0, 0)
-    assert library.capset(header, kept) == 0
+    capabilities = struct.pack("6I", _READ_SEARCH, _READ_SEARCH, 0, 0, 0, 0)
+    assert library.capset(header, capabilities) == 0
 
 
 def _outcome(words: tuple[str, ...], work: Path, surrounding: str | None) -> tuple[int, str]:
@@ -247,12 +247,12 @@ def usual(bench_and_more: Path, tmp_path_factory: pytest.TempPathFactory) -> Cal
 
 def _wrong(name: str, words: tuple[str, ...], work: Path, surrounding: str, code: int) -> str:
     """What is wrong with a command in a surrounding; empty where nothing is."""
-    found, said = _outcome(words, work, surrounding)
+    actual, said = _outcome(words, work, surrounding)
     allowed = {code, 2} if surrounding == _READ_ONLY else {code}
-    clear = found != 2 or 20 < len(said.strip()) < 1500
-    if found in allowed and clear and "Traceback" not in said:
+    clear = actual != 2 or 20 < len(said.strip()) < 1500
+    if actual in allowed and clear and "Traceback" not in said:
         return ""
-    return f"{name}: {found} for {code}: {said}"
+    return f"{name}: {actual} for {code}: {said}"
 
 
 @pytest.mark.skipif(

@@ -116,6 +116,6 @@ def noisy(model, cause):
     given, rng = session(), np.random.default_rng(4)
     points = given.mesh.vertices[given.mesh.vertices[:, 2] > 1e-9]
     return [
-        replace(one, displacement=one.displacement + 2e-6 * rng.normal(size=points.shape))
-        for one in observed(model, points, moved_by(model, cause))
+        replace(probe, displacement=probe.displacement + 2e-6 * rng.normal(size=points.shape))
+        for probe in observed(model, points, moved_by(model, cause))
     ]

@@ -34,7 +34,7 @@ def model():
 def solutions(model):
     """Stiffness, unit loads' and loads' displacements of the homogeneous body."""
     stiffness = model.stiffness(np.zeros(model.modes.modes.shape[1]), NU)
-    return stiffness, *(stiffness.displacements(each) for each in (model.unit_loads, model.load))
+    return stiffness, *(stiffness.displacements(loads) for loads in (model.unit_loads, model.load))
 
 
 def corners_of(model, moved):
@@ -99,15 +99,15 @@ def test_parts_of_a_support_that_have_come_loose_are_let_go(model):
     seen = observed(model, points, stiffness.displacements(model.load) / MODULUS)
     here, minimum = model.under(given, seen), joint_minimum(seen, FitSettings())
     first = Explanation(Cause.SUPPORT, 0.0, 0.4, here, NU)
-    found = first.with_parts_let_go(minimum, FitSettings())
-    np.testing.assert_array_equal(found.loose, loose)
+    loosened = first.with_parts_let_go(minimum, FitSettings())
+    np.testing.assert_array_equal(loosened.loose, loose)
 
-    def missed(one):
-        at = joint_minimum(one.with_field(given, seen), FitSettings())
+    def missed(explanation):
+        at = joint_minimum(explanation.with_field(given, seen), FitSettings())
         return np.sqrt(np.mean(np.square(np.concatenate(at.residual))))
 
     # The same elements without the same nodes: nothing but the step between Poisson's ratios.
-    assert missed(found) < 0.1 * missed(first)
+    assert missed(loosened) < 0.1 * missed(first)
 
 
 @pytest.mark.parametrize("cause", [None, *Cause])
@@ -125,10 +125,10 @@ def test_forces_that_are_wrong_are_evidence_of_errors(model):
     given = session()
     points = given.mesh.vertices[given.mesh.vertices[:, 2] > 1e-9]
     right = [
-        replace(one, force_std=0.01 * np.abs(one.force) + 1e-6)
-        for one in observed(model, points, moved_by(model, None))
+        replace(probe, force_std=0.01 * np.abs(probe.force) + 1e-6)
+        for probe in observed(model, points, moved_by(model, None))
     ]
-    wrong = [replace(one, force=(1.0 + 0.15 * k) * one.force) for k, one in enumerate(right)]
+    wrong = [replace(probe, force=(1.0 + 0.15 * k) * probe.force) for k, probe in enumerate(right)]
     assert evidence_of_errors(joint_minimum(right, FitSettings())) < 1.0
     assert evidence_of_errors(joint_minimum(wrong, FitSettings())) > 10.0
 
@@ -141,12 +141,14 @@ def test_what_the_data_say_of_a_field_is_the_same_wherever_they_are_asked(model)
     homogeneous = given.moved(none, plain.poisson_ratio)
     expansion = given.expanded(none, plain.poisson_ratio, homogeneous)
     start = 0.01 * np.random.default_rng(6).normal(size=len(none))
-    told = [information_about(expansion, plain, each) for each in (none, start)]
+    information = [
+        information_about(expansion, plain, coefficients) for coefficients in (none, start)
+    ]
     # The objective is one of squares in the coefficients; the rest, at which derivatives are taken,
     # moves with them to first order of what they change.
-    (first, here), (second, there) = told
+    (first, here), (second, there) = information
     assert np.abs(second - first).max() < 0.05 * np.abs(first).max()
-    posterior = [np.linalg.solve(h + np.eye(len(h)), v) for h, v in told]
+    posterior = [np.linalg.solve(h + np.eye(len(h)), v) for h, v in information]
     assert np.abs(posterior[1] - posterior[0]).max() < 0.05 * np.abs(posterior[0]).max()
     # Where the data say next to nothing, they say it in any case.
     values, vectors = np.linalg.eigh(first)

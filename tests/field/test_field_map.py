@@ -83,10 +83,10 @@ def test_a_layer_that_may_be_no_other_is_none(body):
 
 
 def test_nothing_is_found_where_nothing_is_known(body):
-    found = posterior(body, 4.0, 0.6)
-    assert found.parts() == ()
-    assert found.known_share == 0.0
-    assert not found.map().is_known.any()
+    modulus = posterior(body, 4.0, 0.6)
+    assert modulus.parts() == ()
+    assert modulus.known_share == 0.0
+    assert not modulus.map().is_known.any()
 
 
 def test_the_map_has_every_element(body):

@@ -68,16 +68,16 @@ def test_evidence_is_the_marginal_likelihood(modes):
 @pytest.mark.parametrize("layer_std", [0.0, 0.8])
 def test_the_prior_of_most_evidence_is_the_one_that_drew(modes, layer_std):
     truth = FieldPrior(0.4, modes.lengths[1], layer_std)
-    found = []
+    sizes = []
     for seed in range(9):
         rows, data = measured(modes, truth, seed)
         effects = rows @ modes.modes
-        found.append(modes.best_prior(effects.T @ effects, effects.T @ data))
+        sizes.append(modes.best_prior(effects.T @ effects, effects.T @ data))
     # Over factors of two the choice scatters by a step.
-    assert np.median([prior.std for prior in found]) == pytest.approx(truth.std)
-    assert np.median([prior.length for prior in found]) == pytest.approx(truth.length)
+    assert np.median([prior.std for prior in sizes]) == pytest.approx(truth.std)
+    assert np.median([prior.length for prior in sizes]) == pytest.approx(truth.length)
     # Layers that are not there: at most the smallest that is tried.
-    assert np.median([prior.layer_std for prior in found]) == pytest.approx(layer_std, abs=0.05)
+    assert np.median([prior.layer_std for prior in sizes]) == pytest.approx(layer_std, abs=0.05)
 
 
 def test_noise_alone_is_no_evidence(modes):

@@ -57,8 +57,8 @@ class Solved:
         none = np.zeros(self.model.modes.modes.shape[1])
         moved = self.model.moved(none, ratio)[:, self.index]
         columns = np.zeros((self.points.size, 4))
-        own = at_points(self.model.body.solid, self.points) @ moved + self.dent
-        columns[:, :3] = np.outer(own, force / (force @ force))
+        moved_points = at_points(self.model.body.solid, self.points) @ moved + self.dent
+        columns[:, :3] = np.outer(moved_points, force / (force @ force))
         return columns
 
 
@@ -99,9 +99,11 @@ def test_about_its_field_the_response_is_that_of_the_body_with_it(model):
     assert np.ptp(softer) > 0.1
     for k, seen in enumerate(expansion.observations(smooth_prior(np.eye(len(about))))):
         for ratio in (RATIO, RATIO + 0.01):
-            own = at_points(model.body.solid, points)
-            expected = own @ model.moved(about, ratio)[:, k] + softer[k] * dents[k]
-            change = own @ (model.moved(about, ratio) - model.moved(0.0 * about, ratio))[:, k]
+            from_nodes = at_points(model.body.solid, points)
+            expected = from_nodes @ model.moved(about, ratio)[:, k] + softer[k] * dents[k]
+            change = (
+                from_nodes @ (model.moved(about, ratio) - model.moved(0.0 * about, ratio))[:, k]
+            )
             # A step of 0.01 of nu changes the difference by 1 %; its derivative leaves a hundredth.
             off = predicted(seen, ratio, about) - expected
             assert np.abs(off).max() < 1e-3 * np.abs(change).max()

@@ -11,8 +11,8 @@ WIDTH = 1.5e-3
 
 def test_a_part_is_stiff_within_and_as_the_rest_beyond() -> None:
     places = np.array([[0.01, 0.0, 0.02], [0.01, 0.008, 0.02], [-0.01, 0.004, 0.01], [0.1, 0, 0]])
-    found = _fields(PARTS, places, WIDTH)[:, 0]
-    np.testing.assert_allclose(found, [1.6, 0.8, -0.7, 0.0], atol=2e-3)
+    value = _fields(PARTS, places, WIDTH)[:, 0]
+    np.testing.assert_allclose(value, [1.6, 0.8, -0.7, 0.0], atol=2e-3)
 
 
 @pytest.mark.parametrize("which", range(10))
@@ -24,5 +24,7 @@ def test_derivatives_by_place_radius_and_contrast(which: int) -> None:
     more, less = (
         _fields(PARTS + side * change.reshape(2, 5), places, WIDTH)[:, 0] for side in (1, -1)
     )
-    found = _fields(PARTS, places, WIDTH)[:, 1 + which]
-    np.testing.assert_allclose(found, (more - less) / (2 * step), atol=1e-6 * np.abs(found).max())
+    derivative = _fields(PARTS, places, WIDTH)[:, 1 + which]
+    np.testing.assert_allclose(
+        derivative, (more - less) / (2 * step), atol=1e-6 * np.abs(derivative).max()
+    )

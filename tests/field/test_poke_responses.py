@@ -42,7 +42,7 @@ def model():
 
 
 def observed(given, model, modulus):
-    force = np.stack([each.force for each in given.probings])
+    force = np.stack([probing.force for probing in given.probings])
     growth = growths(given)
     points = np.array(PLACES)
     return ProbeObservations(
@@ -100,25 +100,25 @@ def test_a_tool_goes_in_as_with_elements_that_resolve_it(layered):
     stiffness = with_moduli(model.body, field(places), RATIO)
     seen = (model.load * stiffness.displacements(model.load)).sum(axis=0)
     local = np.exp(-(model.near @ model.body.means(field(places)[:, None])[:, 0]))
-    found = seen + local * (dents(given, 1.0, RATIO) - (1.0 - RATIO) * model.spread)
-    for k, place in enumerate(np.array(PLACES)):
-        assert found[k] == pytest.approx(
-            _resolved(given, place, field), rel=0.03 if layered else 0.015
+    compliance = seen + local * (dents(given, 1.0, RATIO) - (1.0 - RATIO) * model.spread)
+    for k, point in enumerate(np.array(PLACES)):
+        assert compliance[k] == pytest.approx(
+            _resolved(given, point, field), rel=0.03 if layered else 0.015
         )
 
 
-def _resolved(given, place, field):
+def _resolved(given, point, field):
     """Compliance under a rigid flat face: its pressure, and the mean displacement with it."""
     radius = 1.5e-3
-    solid = make_solid(given.mesh, edge=4e-3, fine=[(place, 1.3 * radius, 0.3e-3)])
+    solid = make_solid(given.mesh, edge=4e-3, fine=[(point, 1.3 * radius, 0.3e-3)])
     body = make_graded_body(solid, held_nodes(solid, given.held_triangles))
     stiffness = with_moduli(body, field(body.points.reshape(-1, 3)), RATIO)
     share = pressure_load(
-        solid, place, radius, lambda s: 1.0 / np.sqrt(np.clip(1.0 - s**2, 1e-3, None))
+        solid, point, radius, lambda s: 1.0 / np.sqrt(np.clip(1.0 - s**2, 1e-3, None))
     )
     load = np.outer(share, [0.0, 0.0, -1.0]).ravel()[:, None]
     moved = stiffness.displacements(load)[:, 0].reshape(-1, 3)
-    around = place + 0.5 * radius * np.array(
+    around = point + 0.5 * radius * np.array(
         [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]
     )
     return -float((surface_values(solid, around) @ moved)[:, 2].mean())

@@ -105,21 +105,21 @@ def observed(true):
     at, ratios = at_points(true.body.solid, points), np.array([0.25, 0.3, 0.35])
     homogeneous = np.stack([at @ true.moved(np.zeros(1), ratio) for ratio in ratios])
     moved = at @ true.moved(np.log([RATIO_OF_CORNER]), NU) / MODULUS
-    found = []
+    probes = []
     for k, (point, force) in enumerate(PUSHES):
         away = np.linalg.norm(points - point, axis=1) > 9e-3
         rows, along = np.repeat(away, 3), np.array(force) / np.dot(force, force)
         displacement, std = moved[rows, k].reshape(-1, 3), np.full((away.sum(), 3), NOISE)
         response = Solved(ratios, homogeneous[:, rows, k], along)
-        found.append(ProbeObservations(f"n{k}", points[away], displacement, std, np.array(force),
+        probes.append(ProbeObservations(f"n{k}", points[away], displacement, std, np.array(force),
                                        np.zeros(3), None, None, response))  # fmt: skip
-    return found
+    return probes
 
 
 @pytest.mark.slow
 def test_the_modulus_of_a_region_is_that_of_the_truth(observed):
-    found = fit_regions(session(Region("corner", CORNER)), observed)
-    (corner,) = found.estimates(fit(found.observations).minimum)
+    regions = fit_regions(session(Region("corner", CORNER)), observed)
+    (corner,) = regions.estimates(fit(regions.observations).minimum)
     # Elements of 5 mm here and there, those here cut by the corner.
     assert corner.ratio.value == pytest.approx(RATIO_OF_CORNER, rel=0.05)
     assert corner.identifiable
@@ -133,9 +133,9 @@ def test_a_known_modulus_tells_that_of_the_rest(observed, kind):
     shear = RATIO_OF_CORNER * MODULUS
     value = shear if kind == SHEAR else 2.0 * (1.0 + NU) * shear
     region = Region("corner", CORNER, kind, value, 1e-3 * value)
-    found = fit_regions(session(region), observed)
-    minimum = fit(found.observations).minimum
-    (corner,) = found.estimates(minimum)
+    regions = fit_regions(session(region), observed)
+    minimum = fit(regions.observations).minimum
+    (corner,) = regions.estimates(minimum)
     known = corner.shear_modulus if kind == SHEAR else corner.young_modulus
     assert known.value == pytest.approx(value, rel=3e-3)
     assert minimum.shear_modulus == pytest.approx(MODULUS, rel=0.02)
@@ -146,13 +146,13 @@ def test_beside_its_modulus_the_error_of_a_response_is_of_second_order(true, obs
     """A known modulus stays what it is where that of the rest changes."""
     known = RATIO_OF_CORNER * MODULUS
     given = session(Region("corner", CORNER, SHEAR, known, 0.01 * known))
-    found = fit_regions(given, observed)
-    model, prior = found.expansion.model, found.prior
-    probe, errors = found.observations[0], []
+    regions = fit_regions(given, observed)
+    model, prior = regions.expansion.model, regions.prior
+    probe, errors = regions.observations[0], []
     at = model.points[0].from_corners
     corners = np.repeat(3 * model.corners, 3).reshape(-1, 3) + np.arange(3)
     homogeneous = model.observations[0].response.value(prior.poisson_ratio)[:, :3] @ probe.force
-    missed = homogeneous - model.points[0].from_nodes @ found.expansion.homogeneous[:, 0]
+    missed = homogeneous - model.points[0].from_nodes @ regions.expansion.homogeneous[:, 0]
     for change in (0.08, 0.04):
         modulus = prior.shear_modulus * np.exp(change)
         terms = probe.response_terms(prior.poisson_ratio)
@@ -162,14 +162,14 @@ def test_beside_its_modulus_the_error_of_a_response_is_of_second_order(true, obs
             every = model.moved(np.array([log_ratio]), prior.poisson_ratio)[:, 0]
             return at @ every[corners.ravel()] + np.exp(-log_ratio * under_load) * missed
 
-        about = float(found.expansion.coefficients[0])
+        about = float(regions.expansion.coefficients[0])
         near = model.under_loads[0, 0]
         expected = solved(prior.mean[0] - change, near) - solved(about, 0.0)
         still = (
             replace(
-                found.expansion,
-                derivative=0.0 * found.expansion.derivative,
-                under_loads=0.0 * found.expansion.under_loads,
+                regions.expansion,
+                derivative=0.0 * regions.expansion.derivative,
+                under_loads=0.0 * regions.expansion.under_loads,
             )
             .observations(prior)[0]
             .response_terms(prior.poisson_ratio)
@@ -182,12 +182,12 @@ def test_beside_its_modulus_the_error_of_a_response_is_of_second_order(true, obs
 def test_no_push_sees_a_speck(observed):
     speck = Region("speck", Box(np.array([0.019, 0.019, 0.0]), np.array([0.021, 0.021, 0.002])))
     homogeneous, rng = [], np.random.default_rng(1)
-    for each in observed:
-        moved = each.response.value(NU)[:, :3] @ each.force / MODULUS
+    for probe in observed:
+        moved = probe.response.value(NU)[:, :3] @ probe.force / MODULUS
         moved += 10.0 * NOISE * rng.normal(size=moved.shape)
-        homogeneous.append(replace(each, displacement=moved.reshape(-1, 3), std=10.0 * each.std))
-    found = fit_regions(session(speck), homogeneous)
-    (estimate,) = found.estimates(fit(found.observations).minimum)
+        homogeneous.append(replace(probe, displacement=moved.reshape(-1, 3), std=10.0 * probe.std))
+    regions = fit_regions(session(speck), homogeneous)
+    (estimate,) = regions.estimates(fit(regions.observations).minimum)
     assert not estimate.is_seen
     assert not estimate.identifiable
     assert "No push sees region 'speck'" in estimate.note

@@ -277,7 +277,9 @@ def test_arrows_stay_in_their_panels(session, result):
     fit = result.probes[0]
     figure = displacement_figure(session.mesh, session.probings[0], fit)
     for axes in figure.axes[:3]:
-        (arrows,) = [one for one in axes.collections if isinstance(one, Quiver)]
+        (arrows,) = [
+            collection for collection in axes.collections if isinstance(collection, Quiver)
+        ]
         ends = arrows.get_offsets() + np.stack([arrows.U, arrows.V], axis=1)
         (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
         assert (ends > [left, low]).all()
@@ -294,7 +296,7 @@ def test_a_budget_shows_each_source_and_the_whole(result):
     figure = budget_figure(replace(result.estimate, budget=budget))
     young, ratio = figure.axes
     # Of a hundredth of the largest nothing would be seen.
-    names = [one.source for one in budget[:3]]
+    names = [entry.source for entry in budget[:3]]
     assert [tick.get_text() for tick in young.get_yticklabels()] == names
     assert [bar.get_width() for bar in young.patches] == pytest.approx([3.0, 4.0, 0.01])
     assert [bar.get_width() for bar in ratio.patches] == pytest.approx([0.0, 3e-3, 4e-3])
@@ -302,11 +304,11 @@ def test_a_budget_shows_each_source_and_the_whole(result):
     # 3-4-5, and what is too small to be seen.
     assert wholes == pytest.approx([5.0, 5e-3], rel=1e-4)
     open_ratio = {"shear_modulus": True, "poisson_ratio": False, "young_modulus": True}
-    one = replace(
+    estimate = replace(
         result.estimate, budget=budget, identifiable=open_ratio,
         status=Status.from_identifiable(open_ratio),
     )  # fmt: skip
-    assert len(budget_figure(one).axes) == 1
+    assert len(budget_figure(estimate).axes) == 1
     assert budget_figure(result.estimate) is None
 
 

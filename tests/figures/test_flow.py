@@ -58,8 +58,8 @@ def texts(figure):
 
 def arrows(axes):
     """The arrows of a panel: places and components in pixels."""
-    (found,) = (item for item in axes.collections if isinstance(item, Quiver))
-    return np.asarray(found.XY), np.stack([found.U, found.V], axis=1)
+    (quiver,) = (item for item in axes.collections if isinstance(item, Quiver))
+    return np.asarray(quiver.XY), np.stack([quiver.U, quiver.V], axis=1)
 
 
 # What is shown
@@ -164,8 +164,8 @@ def test_triangles_are_coloured_where_all_their_vertices_were_measured(view, cub
     # Dots: every measured vertex that is seen, at its place and in the colour of its length.
     rows = seen_corners(view)
     rows = rows[known[rows]]
-    place = 79.5 + (cube.mesh.vertices[rows, 0] - 0.5 * SIDE) * 1000.0 / 0.4
-    np.testing.assert_allclose(np.asarray(dots.get_offsets())[:, 0], place, atol=1e-9)
+    column = 79.5 + (cube.mesh.vertices[rows, 0] - 0.5 * SIDE) * 1000.0 / 0.4
+    np.testing.assert_allclose(np.asarray(dots.get_offsets())[:, 0], column, atol=1e-9)
     length = motion(cube.mesh.vertices[rows])[:, 0]
     np.testing.assert_allclose(dots.get_array(), length, rtol=1e-12)
     np.testing.assert_allclose(np.sort(coloured.get_array()[coloured.get_array() > 0]),
@@ -191,8 +191,8 @@ def test_arrows_are_the_optical_flow_times_the_factor_that_is_told(along, expect
     sampled = sample(along=along)
     view = make_flow_view(sampled.picture, sampled.camera, sampled.surface, sampled.mesh)
     figure = flow_figure("n01", sampled.flow, sampled.vertices, view)
-    place, vector = arrows(figure.axes[0])
-    at = 0.5 * SIDE + (place[:, :1] - 79.5) * 0.4e-3
+    pixel, vector = arrows(figure.axes[0])
+    at = 0.5 * SIDE + (pixel[:, :1] - 79.5) * 0.4e-3
     # 2.5 pixels a millimetre; y of the object is up in the picture, rows count down.
     true = 2500.0 * motion(at)[:, :1] * expected
     ratio = (vector * true).sum(axis=1) / (true * true).sum(axis=1)
@@ -208,32 +208,32 @@ def test_arrows_in_space_are_seen_in_perspective():
     sampled = sample(along=(0.3, 0.0, 0.95))
     view = make_flow_view(sampled.picture, sampled.camera, sampled.surface, sampled.mesh)
     figure = flow_figure("n01", sampled.flow, None, view)
-    place, vector = arrows(figure.axes[1])
+    pixel, vector = arrows(figure.axes[1])
     said = next(text for text in texts(figure) if "arrows" in text)
     times = float(said.split(", ")[1].split(" times")[0])
-    point = np.column_stack([0.5 * SIDE + (place - [79.5, 59.5]) * [0.4e-3, -0.4e-3], 0 * place])
+    point = np.column_stack([0.5 * SIDE + (pixel - [79.5, 59.5]) * [0.4e-3, -0.4e-3], 0 * pixel])
     moved = times * motion(point[:, :3], (0.3, 0.0, 0.95))
     # Nearer to the camera by `moved`, farther from the middle of the picture by similar triangles.
     offset = point[:, :2] - 0.5 * SIDE + moved[:, :2]
     tip = 1000.0 * offset / (0.4 - moved[:, 2:]) * [1.0, -1.0] + [79.5, 59.5]
-    assert len(place) > 10
+    assert len(pixel) > 10
     # Two digits of the factor are told.
-    np.testing.assert_allclose(vector, tip - place, rtol=0.06, atol=0.06)
+    np.testing.assert_allclose(vector, tip - pixel, rtol=0.06, atol=0.06)
 
 
 def test_arrows_of_the_optical_flow_have_their_own_factor():
     sampled = sample(along=(0.3, 0.0, 0.95))
     view = make_flow_view(sampled.picture, sampled.camera, sampled.surface, sampled.mesh)
     figure = flow_figure("n01", sampled.flow, None, view)
-    place, vector = arrows(figure.axes[0])
+    pixel, vector = arrows(figure.axes[0])
     said = next(text for text in texts(figure) if "arrows" in text)
     times = float(said.split("arrows: ")[1].split(" times")[0])
-    point = np.column_stack([0.5 * SIDE + (place - [79.5, 59.5]) * [0.4e-3, -0.4e-3], 0 * place])
+    point = np.column_stack([0.5 * SIDE + (pixel - [79.5, 59.5]) * [0.4e-3, -0.4e-3], 0 * pixel])
     moved = motion(point[:, :3], (0.3, 0.0, 0.95))
     offset = point[:, :2] - 0.5 * SIDE + moved[:, :2]
     tip = 1000.0 * offset / (0.4 - moved[:, 2:]) * [1.0, -1.0] + [79.5, 59.5]
     # Two digits of the factor are told.
-    np.testing.assert_allclose(vector, times * (tip - place), rtol=0.06, atol=0.06)
+    np.testing.assert_allclose(vector, times * (tip - pixel), rtol=0.06, atol=0.06)
 
 
 def test_an_arrow_is_as_long_as_an_eighth_of_the_panel(cube, view):
@@ -272,9 +272,9 @@ def test_causes_have_their_colours(cube, view):
     grid = image.get_array()
     numbers = np.asarray(grid[~grid.mask])
     # One point without texture, three that look different.
-    found = [to_hex(image.cmap(image.norm(number))) for number in np.sort(numbers)]
+    colours = [to_hex(image.cmap(image.norm(number))) for number in np.sort(numbers)]
     score, texture = CAUSE_COLOURS[Outcome.SCORE], CAUSE_COLOURS[Outcome.TEXTURE]
-    assert found == [texture.lower(), *[score.lower()] * 3]
+    assert colours == [texture.lower(), *[score.lower()] * 3]
 
 
 def test_the_figure_says_what_it_shows_and_in_which_unit(cube, view):

@@ -40,8 +40,8 @@ def test_points_around_a_box_have_the_closed_form():
 def test_distance_is_the_brute_force_minimum():
     mesh = sphere(1, radius=0.04)
     points = np.random.default_rng(1).normal(scale=0.04, size=(40, 3))
-    found = closest_points(mesh, points)
-    for point, distance in zip(points, found.distance, strict=True):
+    closest = closest_points(mesh, points)
+    for point, distance in zip(points, closest.distance, strict=True):
         bound = _brute_force(mesh, point)
         # The nearest grid point is at most one spacing (edge / 200) from the closest point.
         assert distance <= bound + 1e-15
@@ -56,18 +56,18 @@ def test_one_large_triangle_among_small_ones_is_found():
         np.concatenate([fine.triangles, [len(fine.vertices) + np.arange(3)]]),
     )
     points = np.array([[2.0, -4.0, 0.5], [0.05, 0.05, 0.29], [0.05, 0.05, 0.12]])
-    found = closest_points(mesh, points)
-    np.testing.assert_allclose(found.distance, [0.2, 0.01, 0.02], atol=1e-14)
-    assert found.triangle[:2].tolist() == [len(fine.triangles)] * 2
-    assert found.triangle[2] < len(fine.triangles)
+    closest = closest_points(mesh, points)
+    np.testing.assert_allclose(closest.distance, [0.2, 0.01, 0.02], atol=1e-14)
+    assert closest.triangle[:2].tolist() == [len(fine.triangles)] * 2
+    assert closest.triangle[2] < len(fine.triangles)
 
 
 def test_vertices_are_their_own_closest_points_exactly():
     mesh = sphere(2)
-    found = closest_points(mesh, mesh.vertices)
+    closest = closest_points(mesh, mesh.vertices)
     # |v| = 1: the weights may carry one rounding.
-    assert found.distance.max() < 1e-15
-    assert np.abs(found.barycentric.max(axis=1) - 1.0).max() < 1e-15
+    assert closest.distance.max() < 1e-15
+    assert np.abs(closest.barycentric.max(axis=1) - 1.0).max() < 1e-15
 
 
 @given(seed=st.integers(0, 10_000), shift=st.floats(-1.0, 1.0), scale=st.floats(1e-3, 1e3))
@@ -76,21 +76,21 @@ def test_projection_obeys_its_laws(seed, shift, scale):
     """Weights are convex, projecting twice changes nothing, and size and place do not matter."""
     rng = np.random.default_rng(seed)
     mesh, points = sphere(1), rng.normal(size=(20, 3))
-    found = closest_points(mesh, points)
-    assert found.barycentric.min() >= 0.0
-    np.testing.assert_allclose(found.barycentric.sum(axis=1), 1.0, atol=1e-14)
-    assert closest_points(mesh, found.position).distance.max() < 1e-14
+    closest = closest_points(mesh, points)
+    assert closest.barycentric.min() >= 0.0
+    np.testing.assert_allclose(closest.barycentric.sum(axis=1), 1.0, atol=1e-14)
+    assert closest_points(mesh, closest.position).distance.max() < 1e-14
     moved = TriangleMesh(scale * (mesh.vertices + shift), mesh.triangles)
     again = closest_points(moved, scale * (points + shift))
-    np.testing.assert_allclose(again.distance, scale * found.distance, atol=1e-13 * scale)
+    np.testing.assert_allclose(again.distance, scale * closest.distance, atol=1e-13 * scale)
 
 
 def test_triangle_distances_agree_with_the_closest_point():
     mesh, point = sphere(2), np.array([0.3, -0.9, 0.8])
     distances = triangle_distances(mesh, point)
-    found = closest_points(mesh, point[None])
-    assert distances.min() == pytest.approx(found.distance[0], abs=1e-15)
-    assert distances[found.triangle[0]] == distances.min()
+    closest = closest_points(mesh, point[None])
+    assert distances.min() == pytest.approx(closest.distance[0], abs=1e-15)
+    assert distances[closest.triangle[0]] == distances.min()
 
 
 def test_points_of_several_sets_are_told_apart_by_place():
@@ -100,14 +100,14 @@ def test_points_of_several_sets_are_told_apart_by_place():
     sets = [closest_points(mesh, points[rng.integers(0, 30, count)]) for count in (25, 1, 40)]
     every, numbers = distinct_points(sets)
     assert len(np.unique(every.position, axis=0)) == len(every.position) <= 30
-    for one, number in zip(sets, numbers, strict=True):
+    for single, number in zip(sets, numbers, strict=True):
         for name in ("triangle", "barycentric", "position", "distance"):
-            assert np.array_equal(getattr(every, name)[number], getattr(one, name))
+            assert np.array_equal(getattr(every, name)[number], getattr(single, name))
 
 
 def test_no_points_give_no_answer():
-    found = closest_points(box(), np.zeros((0, 3)))
-    assert found.position.shape == (0, 3)
+    closest = closest_points(box(), np.zeros((0, 3)))
+    assert closest.position.shape == (0, 3)
 
 
 def test_points_that_are_not_finite_are_refused():
@@ -125,9 +125,9 @@ def test_rays_meet_the_cube_where_they_enter_its_slabs():
         # Between 0 and 40 mm along x, y and z at once, from the latest entry to the first exit.
         times = np.sort((np.array([[0.0], [0.04]]) - start) / way, axis=0)
         enters, leaves = times[0].max(), times[1].min()
-        found = ray_intersection(mesh, start, way)
-        assert (found is not None) == (enters < leaves)
-        if found is not None:
+        hit = ray_intersection(mesh, start, way)
+        assert (hit is not None) == (enters < leaves)
+        if hit is not None:
             met += 1
-            np.testing.assert_allclose(found, start + enters * way, atol=1e-12)
+            np.testing.assert_allclose(hit, start + enters * way, atol=1e-12)
     assert 10 < met < 40

@@ -32,14 +32,14 @@ def _mixed(motions: list[np.ndarray], size: float) -> np.ndarray:
 @pytest.mark.parametrize("size", SIZES)
 def test_slides_and_turns_are_told_apart(size: float) -> None:
     beside = CENTRE + size * np.array([0.5, -0.25, 0.0])
-    place = 1e3 * np.array([beside[0], beside[1], 0.0])
+    expected = 1e3 * np.array([beside[0], beside[1], 0.0])
     free = _mixed([_slide([0.0, 0.0, 1.0]), _turn([0.0, 0.0, 1.0], beside)], size)
     slide, turn = motion_texts(free, CENTRE, size)
     assert slide == "sliding along (0.00, 0.00, 1.00)"
     text, numbers = turn.split(" through (")
     assert text == "turning about the axis (0.00, 0.00, 1.00)"
     assert [float(v) for v in numbers.removesuffix(") mm").split(",")] == pytest.approx(
-        list(place), abs=0.051
+        list(expected), abs=0.051
     )
 
 

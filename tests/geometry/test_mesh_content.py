@@ -108,13 +108,13 @@ def test_corners_of_a_vtu(tmp_path: Path) -> None:
     grid = meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)])
     meshio.vtu.write(path, grid, binary=True, compression=None)
     text = path.read_text()
-    found = re.search(r'type="Int64" (Name="connectivity"[^>]*>)\s*(\S+)', text)
-    assert found is not None
+    match = re.search(r'type="Int64" (Name="connectivity"[^>]*>)\s*(\S+)', text)
+    assert match is not None
     corners = mesh.triangles.astype(float).ravel()
     corners[0] += 0.5
     size = struct.pack("<I", corners.nbytes)
     packed = base64.b64encode(size + corners.tobytes()).decode()
-    text = text.replace(found[0], f'type="Float64" {found[1]}{packed}')
+    text = text.replace(match[0], f'type="Float64" {match[1]}{packed}')
     path.write_text(text)
     with pytest.raises(MeshError, match="must be a whole number"):
         read_mesh(path)
@@ -142,8 +142,8 @@ def test_a_few_bytes_that_unpack_to_many(
 
 def _written(path: Path, version: str, *, binary: bool) -> bytes:
     mesh = box(size=(0.02, 0.03, 0.04), cells=2)
-    kept = meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)])
-    meshio.gmsh.write(path, kept, fmt_version=version, binary=binary)
+    stored = meshio.Mesh(mesh.vertices, [("triangle", mesh.triangles)])
+    meshio.gmsh.write(path, stored, fmt_version=version, binary=binary)
     return path.read_bytes()
 
 
@@ -163,11 +163,11 @@ def test_a_number_that_would_fill_the_memory(tmp_path: Path, version: str, binar
         size = 4 if version == "4.0" else 8
         last, high = (number.to_bytes(size, "little") for number in (count, 2_000_000_000))
         # The header counts the nodes, too; the last of these bytes is the number of the last node.
-        place = content.rindex(last, nodes, content.index(b"$EndNodes"))
+        start = content.rindex(last, nodes, content.index(b"$EndNodes"))
     else:
         last, high = f"\n{count}".encode(), b"\n2000000000"
-        place = content.rindex(last, nodes, content.index(b"$EndNodes"))
-    (tmp_path / "a.msh").write_bytes(content[:place] + high + content[place + len(last) :])
+        start = content.rindex(last, nodes, content.index(b"$EndNodes"))
+    (tmp_path / "a.msh").write_bytes(content[:start] + high + content[start + len(last) :])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(MeshError, match=r"a\.msh: .*more than 4 GB of memory"):
         read_mesh(tmp_path / "a.msh")

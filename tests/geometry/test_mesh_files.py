@@ -31,22 +31,22 @@ def test_every_format_gives_the_surface_back(tmp_path, suffix):
     mesh = sphere(2, radius=40.0)
     path = tmp_path / f"ball{suffix}"
     write_mesh(path, mesh)
-    found, notes = checked_mesh(read_mesh(path, metres_per_unit=0.001))
+    checked, notes = checked_mesh(read_mesh(path, metres_per_unit=0.001))
     assert notes == ()
-    assert len(found.vertices) == len(mesh.vertices)
+    assert len(checked.vertices) == len(mesh.vertices)
     # STL holds single precision: 6e-8 of 40 mm in a coordinate, a few times that in the volume.
-    assert enclosed_volume(found) == pytest.approx(1e-9 * enclosed_volume(mesh), rel=5e-7)
+    assert enclosed_volume(checked) == pytest.approx(1e-9 * enclosed_volume(mesh), rel=5e-7)
     if suffix != ".stl":
-        np.testing.assert_allclose(found.vertices, 0.001 * mesh.vertices, atol=1e-9)
-        assert np.array_equal(found.triangles, mesh.triangles)
+        np.testing.assert_allclose(checked.vertices, 0.001 * mesh.vertices, atol=1e-9)
+        assert np.array_equal(checked.triangles, mesh.triangles)
 
 
 def test_ply_keeps_every_digit(tmp_path):
     mesh = sphere(1, radius=np.pi)
     write_mesh(tmp_path / "ball.ply", mesh)
-    found = read_mesh(tmp_path / "ball.ply")
-    assert np.array_equal(found.vertices, mesh.vertices)
-    assert np.array_equal(found.triangles, mesh.triangles)
+    reread = read_mesh(tmp_path / "ball.ply")
+    assert np.array_equal(reread.vertices, mesh.vertices)
+    assert np.array_equal(reread.triangles, mesh.triangles)
 
 
 def test_separate_triangles_are_welded():
@@ -143,9 +143,9 @@ def test_vtp_is_read_however_it_is_stored(tmp_path, kind, compressed):
     path.write_bytes(
         _vtp(mesh.vertices, mesh.triangles.ravel(), offsets, kind=kind, compressed=compressed)
     )
-    found = read_mesh(path)
-    assert np.array_equal(found.vertices, mesh.vertices)
-    assert np.array_equal(found.triangles, mesh.triangles)
+    reread = read_mesh(path)
+    assert np.array_equal(reread.vertices, mesh.vertices)
+    assert np.array_equal(reread.triangles, mesh.triangles)
 
 
 def test_obj_with_quadrangles_normals_and_relative_indices_is_read(tmp_path):
@@ -154,9 +154,9 @@ def test_obj_with_quadrangles_normals_and_relative_indices_is_read(tmp_path):
         "o house\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv -1 0.5 0\nvn 0 0 1\nvt 0 0\n"
         "g wall\nusemtl brick\nf 1/1/1 2/1/1 3/1/1 4/1/1\ng roof\nusemtl tile\nf -5 -2 -1\n"
     )
-    found = read_mesh(path)
-    assert triangle_areas(found).sum() == pytest.approx(1.5)
-    assert len(found.vertices) == 5
+    mesh = read_mesh(path)
+    assert triangle_areas(mesh).sum() == pytest.approx(1.5)
+    assert len(mesh.vertices) == 5
 
 
 def test_text_ply_with_colours_and_quadrangles_is_read(tmp_path):

@@ -170,11 +170,11 @@ def test_verdict_on_random_pairs_is_that_of_signed_volumes():
     # Pairs are set far apart, so that each meets its partner only.
     corner = corner + 100.0 * np.arange(3000)[:, None, None, None] * np.array([1.0, 0.0, 0.0])
     mesh = TriangleMesh(corner.reshape(-1, 3), np.arange(18000).reshape(-1, 3))
-    found = np.zeros(3000, dtype=bool)
-    found[intersecting_pairs(mesh)[:, 0] // 2] = True
+    crossing = np.zeros(3000, dtype=bool)
+    crossing[intersecting_pairs(mesh)[:, 0] // 2] = True
     assert 300 < expected.sum() < 2700
     # The bounding box is 3e5 long, so contacts closer than 3e-5 count as touching: a few in 3000.
-    assert (found != expected).sum() <= 3
+    assert (crossing != expected).sum() <= 3
 
 
 def test_rotation_and_size_do_not_change_the_verdict():

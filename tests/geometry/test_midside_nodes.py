@@ -64,9 +64,9 @@ def test_quadratics_are_exact_on_every_flat_face(continuous, rings):
         value = value[sides.vertex]
     # A function of three coordinates is a quadratic on each face; edges are straight, corners bound
     # their curves.
-    place = middles(mesh, nodes)
-    used = np.isfinite(place[:, 0])
-    np.testing.assert_allclose((nodes.weights @ value)[used], quadratic(place[used]), atol=1e-11)
+    position = middles(mesh, nodes)
+    used = np.isfinite(position[:, 0])
+    np.testing.assert_allclose((nodes.weights @ value)[used], quadratic(position[used]), atol=1e-11)
 
 
 @pytest.mark.parametrize("level", [2, 3, 4])
@@ -75,10 +75,10 @@ def test_the_step_to_two_rings_is_as_large_as_the_error_of_one(level):
     mesh = sphere(level)
     sides = split_sides(mesh, no_region(mesh))
     near, wide = (displacement_nodes(mesh, sides, rings=rings) for rings in (1, 2))
-    place = middles(mesh, near)
-    place /= np.linalg.norm(place, axis=1)[:, None]
+    position = middles(mesh, near)
+    position /= np.linalg.norm(position, axis=1)[:, None]
     first, second = (nodes.weights @ np.sin(2 * mesh.vertices[:, 0]) for nodes in (near, wide))
-    error = np.linalg.norm(first - np.sin(2 * place[:, 0]))
+    error = np.linalg.norm(first - np.sin(2 * position[:, 0]))
     # 0.97, 1.37 and 1.21.
     assert 0.5 < error / np.linalg.norm(second - first) < 2.0
 
@@ -118,8 +118,8 @@ def test_no_weight_reaches_across_a_crease():
     face = np.round(normal / np.linalg.norm(normal, axis=1)[:, None] @ [1.0, 2.0, 3.0])
     at_sides = np.empty(sides.vertex.size)
     at_sides[sides.corner.ravel()] = np.repeat(face, 3)
-    found = (nodes.weights @ at_sides)[nodes.element[:, 3:] - nodes.n_nodes]
-    np.testing.assert_allclose(found, np.repeat(face[:, None], 3, axis=1), atol=1e-12)
+    values = (nodes.weights @ at_sides)[nodes.element[:, 3:] - nodes.n_nodes]
+    np.testing.assert_allclose(values, np.repeat(face[:, None], 3, axis=1), atol=1e-12)
 
 
 def test_a_displacement_on_a_crease_is_one_from_both_sides():
@@ -137,8 +137,8 @@ def test_linear_nodes_are_means():
     value = np.random.default_rng(0).normal(size=mesh.vertices.shape[0])
     corner = value[mesh.triangles]
     expected = 0.5 * (corner + np.roll(corner, -1, axis=1))
-    found = (nodes.weights @ value)[nodes.element[:, 3:] - nodes.n_nodes]
-    np.testing.assert_allclose(found, expected, atol=1e-15)
+    values = (nodes.weights @ value)[nodes.element[:, 3:] - nodes.n_nodes]
+    np.testing.assert_allclose(values, expected, atol=1e-15)
 
 
 def test_interpolation_is_exact_for_quadratics_between_the_nodes():
@@ -148,8 +148,8 @@ def test_interpolation_is_exact_for_quadratics_between_the_nodes():
     triangle = rng.integers(0, mesh.triangles.shape[0], 50)
     barycentric = rng.dirichlet([1, 1, 1], 50)
     matrix = interpolation_matrix(nodes, triangle, barycentric)
-    place = np.einsum("nk,nki->ni", barycentric, mesh.vertices[mesh.triangles[triangle]])
-    np.testing.assert_allclose(matrix @ quadratic(mesh.vertices), quadratic(place), atol=1e-11)
+    position = np.einsum("nk,nki->ni", barycentric, mesh.vertices[mesh.triangles[triangle]])
+    np.testing.assert_allclose(matrix @ quadratic(mesh.vertices), quadratic(position), atol=1e-11)
     np.testing.assert_allclose(matrix.sum(axis=1), 1, atol=1e-13)
 
 
@@ -223,14 +223,14 @@ def test_positions_and_normals_are_those_of_the_shapes():
     def position(there):
         return quadratic_shapes(there).T @ nodes[0]
 
-    found = element_points(nodes, places)[0]
-    np.testing.assert_allclose(found[:, :3], position(places), atol=1e-14)
+    points = element_points(nodes, places)[0]
+    np.testing.assert_allclose(points[:, :3], position(places), atol=1e-14)
     # A central difference of a quadratic has no error but round-off, 1e-16 / step.
     along = []
     for step in ([-1, 1, 0], [-1, 0, 1]):
         move = 1e-3 * np.array(step)
         along.append((position(places + move) - position(places - move)) / 2e-3)
-    np.testing.assert_allclose(found[:, 3:], np.cross(*along), atol=1e-11)
+    np.testing.assert_allclose(points[:, 3:], np.cross(*along), atol=1e-11)
 
 
 def test_element_points_follow_a_parabolic_cap():
@@ -258,10 +258,10 @@ def test_spheres_hold_their_elements():
 def test_points_of_their_own_are_those_of_each_triangle():
     rng = np.random.default_rng(2)
     nodes, places = rng.normal(size=(3, 6, 3)), rng.dirichlet([1, 1, 1], size=(3, 4))
-    found = element_points(nodes, places)
+    points = element_points(nodes, places)
     for k in range(3):
         alone = element_points(nodes[k : k + 1], places[k])[0]
-        np.testing.assert_allclose(found[k], alone, rtol=1e-13, atol=1e-14)
+        np.testing.assert_allclose(points[k], alone, rtol=1e-13, atol=1e-14)
 
 
 def test_quarters_fill_their_cell_and_are_alike():

@@ -40,16 +40,16 @@ def _worst_guess(rng, about):
     return _pose(turn, 0.02 * shift / np.linalg.norm(shift), about)
 
 
-def _error(found, truth):
+def _error(registration, truth):
     """Turn (rad) and shift (m) of the centroid by which a registration misses."""
-    left = found.T_mesh_points @ truth
+    left = registration.T_mesh_points @ truth
     turn = Rotation.from_matrix(left[:3, :3]).as_rotvec()
-    return np.concatenate([turn, _moved(left, found.centre) - found.centre])
+    return np.concatenate([turn, _moved(left, registration.centre) - registration.centre])
 
 
-def _mahalanobis(found, truth):
-    error = _error(found, truth)
-    return float(error @ np.linalg.solve(found.covariance, error))
+def _mahalanobis(registration, truth):
+    error = _error(registration, truth)
+    return float(error @ np.linalg.solve(registration.covariance, error))
 
 
 def _seen(mesh, eye, count, rng):
@@ -92,13 +92,13 @@ def test_one_side_of_a_solid_is_found_from_a_rough_guess(shared_data, outliers):
     measured = _moved(truth, points) + rng.normal(scale=NOISE, size=points.shape)
     wrong = rng.uniform(size=len(points)) < outliers
     measured[wrong] += rng.normal(scale=0.01, size=(int(wrong.sum()), 3))
-    found = register(measured, None, mesh, viewpoint=_moved(truth, eye[None])[0])
-    check_registration(found)
+    registration = register(measured, None, mesh, viewpoint=_moved(truth, eye[None])[0])
+    check_registration(registration)
     # 27.9 is the 99.99 % point of chi-squared with six degrees of freedom.
-    assert _mahalanobis(found, truth) < 27.9
-    assert found.residual == pytest.approx(NOISE, rel=0.1)
+    assert _mahalanobis(registration, truth) < 27.9
+    assert registration.residual == pytest.approx(NOISE, rel=0.1)
     # Some of the wrong points lie near the surface by chance.
-    assert 1.0 - outliers - 0.02 < found.inliers < 1.0 - 0.7 * outliers + 1e-9
+    assert 1.0 - outliers - 0.02 < registration.inliers < 1.0 - 0.7 * outliers + 1e-9
     # Without an eye the back of the solid may be taken for its front, and is not.
     blind = register(measured, None, mesh)
     assert np.linalg.norm(_error(blind, truth)[3:]) < 1e-5
@@ -111,9 +111,9 @@ def test_covariance_is_that_of_repeated_measurements():
     for _ in range(24):
         truth = _pose(rng.normal(scale=1e-4, size=3), rng.normal(scale=1e-5, size=3))
         measured = _moved(truth, points) + rng.normal(scale=NOISE, size=points.shape)
-        found = register(measured, None, mesh, **NEAR)
-        errors.append(_error(found, truth))
-        claimed.append(found.covariance)
+        registration = register(measured, None, mesh, **NEAR)
+        errors.append(_error(registration, truth))
+        claimed.append(registration.covariance)
     whitened = np.linalg.solve(np.linalg.cholesky(np.mean(claimed, axis=0)), np.transpose(errors))
     # 144 numbers of unit variance: their mean square scatters by sqrt(2 / 144) = 0.12. The factor
     # for correlation, never below one, widens by some per cent what needs no widening.
@@ -146,7 +146,10 @@ def test_precise_points_decide_where_noise_is_given():
     weighted = register(measured, std, mesh, **NEAR)
     precise = register(measured[1::2], None, mesh, **NEAR)
     plain = register(measured, None, mesh, **NEAR)
-    spread = [np.sqrt(np.trace(one.covariance[3:, 3:])) for one in (weighted, precise, plain)]
+    spread = [
+        np.sqrt(np.trace(registration.covariance[3:, 3:]))
+        for registration in (weighted, precise, plain)
+    ]
     assert spread[0] < 1.1 * spread[1]
     assert spread[0] < 0.8 * spread[2]
     full = register(measured, std[:, None, None] ** 2 * np.eye(3), mesh, **NEAR)
@@ -159,10 +162,10 @@ def test_depth_noise_counts_only_across_the_surface():
     mesh, points = box(SIZE), _three_faces(600, rng)
     covariance = np.diag([100.0, 1.0, 1.0]) * NOISE**2
     measured = points + rng.normal(size=points.shape) @ np.sqrt(covariance)
-    found = register(measured, np.broadcast_to(covariance, (600, 3, 3)).copy(), mesh, **NEAR)
-    std = np.sqrt(np.diag(found.covariance))[3:]
+    registration = register(measured, np.broadcast_to(covariance, (600, 3, 3)).copy(), mesh, **NEAR)
+    std = np.sqrt(np.diag(registration.covariance))[3:]
     assert std[0] > 4.0 * max(std[1], std[2])
-    assert _mahalanobis(found, np.eye(4)) < 27.9
+    assert _mahalanobis(registration, np.eye(4)) < 27.9
 
 
 def test_result_does_not_depend_on_the_frame_of_the_points():
@@ -171,12 +174,12 @@ def test_result_does_not_depend_on_the_frame_of_the_points():
     points = points + rng.normal(scale=NOISE, size=points.shape)
     start = _pose((0.02, -0.03, 0.01), (0.004, 0.003, -0.002))
     other = _pose((1.0, 0.5, -2.0), (0.3, -0.2, 0.5))
-    one = register(points, None, mesh, start=start)
-    two = register(_moved(other, points), None, mesh, start=start @ np.linalg.inv(other))
+    first = register(points, None, mesh, start=start)
+    second = register(_moved(other, points), None, mesh, start=start @ np.linalg.inv(other))
     # Both iterations end within a tenth of a standard deviation.
-    gap = _error(two, np.linalg.inv(one.T_mesh_points @ np.linalg.inv(other)))
-    assert gap @ np.linalg.solve(one.covariance, gap) < 0.1**2
-    np.testing.assert_allclose(two.covariance, one.covariance, rtol=0.02, atol=1e-14)
+    gap = _error(second, np.linalg.inv(first.T_mesh_points @ np.linalg.inv(other)))
+    assert gap @ np.linalg.solve(first.covariance, gap) < 0.1**2
+    np.testing.assert_allclose(second.covariance, first.covariance, rtol=0.02, atol=1e-14)
 
 
 def test_free_motions_stay_as_the_start_has_them():
@@ -185,16 +188,18 @@ def test_free_motions_stay_as_the_start_has_them():
     mesh = TriangleMesh(*refined_surface(sphere(2, radius=0.03), pieces=3))
     points = _ball(900, rng, lowest=0.0)
     start = _pose((0.03, -0.05, 0.04), (0.006, -0.004, 0.003))
-    found = register(points + rng.normal(scale=NOISE, size=points.shape), None, mesh, start=start)
-    assert len(found.free) == 3
-    turn = Rotation.from_matrix(found.T_mesh_points[:3, :3] @ start[:3, :3].T).magnitude()
+    registration = register(
+        points + rng.normal(scale=NOISE, size=points.shape), None, mesh, start=start
+    )
+    assert len(registration.free) == 3
+    turn = Rotation.from_matrix(registration.T_mesh_points[:3, :3] @ start[:3, :3].T).magnitude()
     # To second order in the steps of the last fit; the start is turned by 0.07.
     assert turn < 1e-3
     # What is left of the facets, two hundredths of a millimetre, moves the centre by twice as much.
-    np.testing.assert_allclose(found.T_mesh_points[:3, 3], 0.0, atol=6e-5)
+    np.testing.assert_allclose(registration.T_mesh_points[:3, 3], 0.0, atol=6e-5)
     # A free turn about the ball's centre carries the centroid of the points along.
-    pivot = found.centre
-    for motion in found.free:
+    pivot = registration.centre
+    for motion in registration.free:
         np.testing.assert_allclose(motion[3:], np.cross(motion[:3], pivot), atol=0.03)
 
 
@@ -204,9 +209,9 @@ def test_turns_of_a_ball_are_free_however_fine_its_facets(subdivisions, noise):
     rng = np.random.default_rng(7)
     points = _ball(900, rng)
     measured = points + rng.normal(scale=noise, size=points.shape)
-    found = register(measured, None, sphere(subdivisions, radius=0.03), **NEAR)
-    check_registration(found)
-    assert "turning about any axis through" in free_motions_text(found)
+    registration = register(measured, None, sphere(subdivisions, radius=0.03), **NEAR)
+    check_registration(registration)
+    assert "turning about any axis through" in free_motions_text(registration)
 
 
 def test_turns_of_a_dome_are_free(shared_data):
@@ -217,10 +222,11 @@ def test_turns_of_a_dome_are_free(shared_data):
     points = points[points[:, 2] > 0.002]
     points *= 0.04 / np.linalg.norm(points, axis=1)[:, None]
     measured = points + rng.normal(scale=NOISE, size=points.shape)
-    found = register(measured, None, mesh, **NEAR)
-    check_registration(found)
+    registration = register(measured, None, mesh, **NEAR)
+    check_registration(registration)
     assert re.match(
-        r"turning about any axis through \(-?0\.\d, -?0\.\d, -?0\.\d\) mm", free_motions_text(found)
+        r"turning about any axis through \(-?0\.\d, -?0\.\d, -?0\.\d\) mm",
+        free_motions_text(registration),
     )
 
 
@@ -264,9 +270,9 @@ def test_free_motions_are_named():
         (box(SIZE), slab, r"sliding along \(1\.00, 0\.00, 0\.00\)$"),
     ]
     for mesh, points, text in cases:
-        found = register(points + noise[: len(points)], None, mesh, **NEAR)
-        check_registration(found)
-        assert re.match(text, free_motions_text(found))
+        registration = register(points + noise[: len(points)], None, mesh, **NEAR)
+        check_registration(registration)
+        assert re.match(text, free_motions_text(registration))
 
 
 def test_a_plate_beyond_its_edge_says_nothing_of_the_place():
@@ -275,8 +281,8 @@ def test_a_plate_beyond_its_edge_says_nothing_of_the_place():
     plate = rng.uniform(0.0, 1.0, size=(800, 3)) * SIZE
     plate[:, 2] = SIZE[2]
     plate += rng.normal(scale=NOISE, size=plate.shape) + np.array([0.01, 0.004, 0.0])
-    found = register(plate, None, box(SIZE), distance=1e-3)
-    assert len(found.free) == 3
+    registration = register(plate, None, box(SIZE), distance=1e-3)
+    assert len(registration.free) == 3
 
 
 def _sheet(height, thickness=2e-3, cells=(24, 6)):
@@ -337,15 +343,15 @@ def test_a_sheet_does_not_slide(of_mesh, of_points, over, noise):
     measured = points + rng.normal(scale=noise, size=points.shape) + offset
     eye = np.array([0.02, 0.01, 0.4])
     mesh = TriangleMesh(*refined_surface(_sheet(of_mesh), pieces=2))
-    found = register(measured, None, mesh, viewpoint=eye, angle=0.01, distance=2e-3)
-    check_registration(found)
-    moved = _moved(found.T_mesh_points, points.mean(axis=0) + offset) - points.mean(axis=0)
+    registration = register(measured, None, mesh, viewpoint=eye, angle=0.01, distance=2e-3)
+    check_registration(registration)
+    moved = _moved(registration.T_mesh_points, points.mean(axis=0) + offset) - points.mean(axis=0)
     # An arch fixes the place along it to two thousandths of its diagonal, 1 sigma, or not at all.
     assert np.abs(moved[:2]).max() < (6e-4 if of_mesh is _arched else 2e-5)
     # The bow's mean, and the rest of the noise.
     assert abs(moved[2]) < 1e-5
-    assert len(found.free) >= (2 if of_mesh is _arched else 3)
-    assert found.weakest_std < 1e-3
+    assert len(registration.free) >= (2 if of_mesh is _arched else 3)
+    assert registration.weakest_std < 1e-3
 
 
 def test_a_long_ball_is_fixed_where_its_length_exceeds_the_facets():
@@ -356,25 +362,25 @@ def test_a_long_ball_is_fixed_where_its_length_exceeds_the_facets():
     for stretch, free in ((1.3, 0), (1.01, 3)):
         axes = np.array([stretch, 1.0, 1.0 / stretch])
         mesh = TriangleMesh(ball.vertices * axes, ball.triangles)
-        found = register(points * axes + noise, None, mesh, **NEAR)
-        assert len(found.free) == free
+        registration = register(points * axes + noise, None, mesh, **NEAR)
+        assert len(registration.free) == free
 
 
 def test_the_wrong_mesh_is_refused():
     rng = np.random.default_rng(12)
     points = _three_faces(300, rng)
-    found = register(points, None, sphere(2, radius=0.05))
+    registration = register(points, None, sphere(2, radius=0.05))
     with pytest.raises(CalibrationError, match="cannot be brought onto the mesh"):
-        check_registration(found)
+        check_registration(registration)
 
 
 def test_exact_points_are_brought_to_rest():
     """No noise: the pose is exact, not only as good as the noise asks for."""
     points = _three_faces(300, np.random.default_rng(13))
     truth = _pose((1e-3, -2e-3, 1e-3), (1e-4, 2e-4, -1e-4))
-    found = register(_moved(truth, points), None, box(SIZE), angle=0.01, distance=1e-3)
+    registration = register(_moved(truth, points), None, box(SIZE), angle=0.01, distance=1e-3)
     # A tenth of what 1e-7 of the diagonal (8.8 cm) lets them know, 9 nm.
-    assert np.abs(_error(found, truth)[3:]).max() < 1e-9
+    assert np.abs(_error(registration, truth)[3:]).max() < 1e-9
 
 
 def test_input_is_checked():

@@ -81,8 +81,8 @@ def test_expected_noise_is_that_across_the_surface_at_the_pose():
     points = np.array([[0.5, 0.5, 1.0], [0.2, 0.7, 1.0], [1.0, 0.4, 0.4], [1.0, 0.6, 0.3]])
     covariance = np.broadcast_to(np.diag([4.0, 0.0, 0.0]) * 1e-8, (4, 3, 3)).copy()
     pose = motion_pose(np.array([0.0, 0.5 * np.pi, 0.0, 0.0, 0.0, 0.0]), np.zeros(3))
-    own = placed(np.linalg.inv(pose), points)
-    at = linearised(surface_search(mesh), MeasuredPoints(own, covariance), pose)
+    in_own_frame = placed(np.linalg.inv(pose), points)
+    at = linearised(surface_search(mesh), MeasuredPoints(in_own_frame, covariance), pose)
     # x of the points points along -z of the mesh.
     np.testing.assert_allclose(at.sigma, [2e-4, 2e-4, 0.0, 0.0], atol=1e-6)
 
@@ -129,8 +129,8 @@ def test_worst_guesses_with_a_table_behind_are_brought_near():
         ).as_matrix()
         pose[:3, 3] = 0.02 * shift / np.linalg.norm(shift)
         moved = points @ pose[:3, :3].T + pose[:3, 3]
-        found = coarse_pose(search, moved, np.eye(4), angle=np.radians(5.0), distance=0.02)
-        back = moved @ found[:3, :3].T + found[:3, 3]
+        fitted_pose = coarse_pose(search, moved, np.eye(4), angle=np.radians(5.0), distance=0.02)
+        back = moved @ fitted_pose[:3, :3].T + fitted_pose[:3, 3]
         # A hundredth of the diagonal is 0.9 mm.
         assert np.linalg.norm(back - points, axis=1).max() < 9e-4
 
@@ -139,8 +139,8 @@ def test_a_good_guess_is_returned_as_it_is():
     start = np.eye(4)
     start[:3, 3] = 1e-4
     points = _faces(50, np.random.default_rng(1))
-    found = coarse_pose(surface_search(box(SIZE)), points, start, angle=1e-4, distance=1e-4)
-    np.testing.assert_array_equal(found, start)
+    pose = coarse_pose(surface_search(box(SIZE)), points, start, angle=1e-4, distance=1e-4)
+    np.testing.assert_array_equal(pose, start)
 
 
 def test_groups_are_equal_compact_and_independent_of_the_frame():

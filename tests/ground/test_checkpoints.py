@@ -96,7 +96,7 @@ class _Pair:
 
 
 @pytest.mark.parametrize(
-    ("one", "other"),
+    ("first", "other"),
     [
         (_Pair("ab", "c"), _Pair("a", "bc")),
         (np.zeros(3), np.zeros((3, 1))),
@@ -106,8 +106,8 @@ class _Pair:
         (np.zeros(2000), np.eye(1, 2000, 1000)[0]),
     ],
 )
-def test_digests_tell_apart(one, other):
-    assert content_digest(one) != content_digest(other)
+def test_digests_tell_apart(first, other):
+    assert content_digest(first) != content_digest(other)
 
 
 def test_a_pipe_in_the_place_of_a_part_is_no_part(tmp_path):

@@ -88,7 +88,11 @@ def _plain(content: dict[str, str]) -> dict[str, str]:
 
 @pytest.mark.parametrize(
     "fault",
-    ["dies", "ENOSPC", *(pytest.param(one, marks=pytest.mark.slow) for one in ("EIO", "EINTR"))],
+    [
+        "dies",
+        "ENOSPC",
+        *(pytest.param(error, marks=pytest.mark.slow) for error in ("EIO", "EINTR")),
+    ],
 )
 @pytest.mark.parametrize("name", list(_OPERATIONS))
 def test_old_or_new_at_every_step(tmp_path, name, fault, capfd):
@@ -109,11 +113,11 @@ def test_old_or_new_at_every_step(tmp_path, name, fault, capfd):
         states.append(_plain(_content(folder)))
         work(folder, "again")
         again = {key: text.replace("new", "again") for key, text in after.items()}
-        found = _content(folder)
+        content = _content(folder)
         # What is kept under another name twice is not lost.
-        assert found | again == found, len(outcomes)
-        more = found.keys() - again.keys()
-        assert not more or (name in _IN_STEPS and {found[key] for key in more} == {"old"})
+        assert content | again == content, len(outcomes)
+        more = content.keys() - again.keys()
+        assert not more or (name in _IN_STEPS and {content[key] for key in more} == {"old"})
     assert set(outcomes) <= {"done", "died"} if dies else {"done", "refused", "done all the same"}
     if name != "file kept aside":
         # Nothing between; what was refused has changed nothing.
@@ -160,7 +164,7 @@ def test_files_and_what_names_them_change_together(tmp_path, before, fault):
     assert seen[-1] == "new"
     assert len(seen) > 5
     # From some step on the new state.
-    assert fault != "dies" or seen == sorted(seen, key=lambda one: one == "new")
+    assert fault != "dies" or seen == sorted(seen, key=lambda content: content == "new")
 
 
 def test_a_file_with_the_same_content_is_taken_as_it_is(tmp_path):

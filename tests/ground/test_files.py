@@ -87,12 +87,12 @@ ARRAYS = {
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
 def test_arrays_are_read_as_they_were_saved(tmp_path, save):
     save(tmp_path / "a.npz", **ARRAYS)
-    with stored_arrays(tmp_path / "a.npz", "") as found:
-        assert list(found) == list(ARRAYS)
+    with stored_arrays(tmp_path / "a.npz", "") as arrays:
+        assert list(arrays) == list(ARRAYS)
         for name, array in ARRAYS.items():
-            np.testing.assert_array_equal(found[name], array)
-            assert found[name].dtype == array.dtype
-            assert found[name].flags.writeable
+            np.testing.assert_array_equal(arrays[name], array)
+            assert arrays[name].dtype == array.dtype
+            assert arrays[name].flags.writeable
 
 
 def _npy(array: np.ndarray) -> bytes:
@@ -152,5 +152,5 @@ def test_a_small_archive_may_not_hold_much(tmp_path, monkeypatch):
         pass
     # What is not packed may be of any size.
     np.savez(tmp_path / "b.npz", a=np.zeros(2**20))
-    with stored_arrays(tmp_path / "b.npz", "cure") as found:
-        assert found["a"].size == 2**20
+    with stored_arrays(tmp_path / "b.npz", "cure") as arrays:
+        assert arrays["a"].size == 2**20

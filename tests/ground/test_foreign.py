@@ -100,22 +100,22 @@ def test_no_process_is_left_where_the_results_are_not_wanted(library):
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="looks for the process in /proc")
 def test_the_work_ends_in_time_where_the_command_was_killed(library, tmp_path: Path):
-    told = tmp_path / "child"
+    message = tmp_path / "child"
     code = (
         "from palpate.foreign import result_in_child; import some_library;"
-        f" result_in_child(some_library.spin, {str(told)!r}, seconds=1.0)"
+        f" result_in_child(some_library.spin, {str(message)!r}, seconds=1.0)"
     )
     command = subprocess.Popen([sys.executable, "-c", code])
-    child = _soon(lambda: told.exists() and told.read_text())
+    child = _soon(lambda: message.exists() and message.read_text())
     command.send_signal(signal.SIGKILL)
     command.wait()
     assert _soon(lambda: not _runs(int(child)))
 
 
-def _soon(found):
+def _soon(ask):
     """What a function gives as soon as it is something, within 20 s."""
     for _ in range(200):
-        if result := found():
+        if result := ask():
             return result
         time.sleep(0.1)
     raise AssertionError

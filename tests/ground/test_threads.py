@@ -59,14 +59,14 @@ def test_an_error_in_a_thread_comes_through(threads):
 
 
 def test_results_come_in_the_order_of_the_items(threads):
-    found = map_in_threads(
+    results = map_in_threads(
         lambda x, y: (time.sleep(x), x + y)[1], [0.02, 0.0, 0.01], [1.0, 2.0, 3.0]
     )
-    assert list(found) == [1.02, 2.0, 3.01]
+    assert list(results) == [1.02, 2.0, 3.01]
 
 
 def test_the_error_of_an_item_is_raised_at_its_turn(threads):
-    found = map_in_threads(lambda x: 1 // x, [1, 0, 2])
-    assert next(found) == 1
+    results = map_in_threads(lambda x: 1 // x, [1, 0, 2])
+    assert next(results) == 1
     with pytest.raises(ZeroDivisionError):
-        next(found)
+        next(results)

@@ -39,12 +39,12 @@ def test_source_files_that_are_named_exist(page):
 
 def commands():
     """Every `palpate ...` line of the documents' shell examples."""
-    found = []
+    links = []
     for page in PAGES:
         blocks = re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
         lines = [line.partition(" #")[0] for block in blocks for line in block.splitlines()]
-        found += [line.partition("palpate ")[2] for line in lines if "palpate " in line]
-    return found
+        links += [line.partition("palpate ")[2] for line in lines if "palpate " in line]
+    return links
 
 
 @pytest.mark.parametrize("line", sorted(set(commands())))

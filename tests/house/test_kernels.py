@@ -13,8 +13,8 @@ _FUNCTIONS = {"arrays", "errors", "machine", "optional_imports", "progress", "sh
 def _imports(path: Path) -> set[str]:
     """Rooms, and files of the ground floor, that a file takes names from."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    found = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    return {name.split(".")[1] for name in found if name.startswith("palpate.")}
+    modules = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    return {name.split(".")[1] for name in modules if name.startswith("palpate.")}
 
 
 def test_kernels_come_from_the_rooms_that_make_looks_at():

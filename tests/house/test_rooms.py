@@ -50,12 +50,12 @@ def public_definitions():
 
 
 def decorators(node: ast.FunctionDef) -> list[str]:
-    return [ast.unparse(each) for each in node.decorator_list]
+    return [ast.unparse(decorator) for decorator in node.decorator_list]
 
 
 def is_kernel(node: ast.FunctionDef) -> bool:
     """Compiled by numba."""
-    return any("njit" in each for each in decorators(node))
+    return any("njit" in decorator for decorator in decorators(node))
 
 
 def entered_wrongly(importer: str, imported: str) -> bool:
@@ -92,39 +92,40 @@ def test_doors(importer, imported, wrong):
 
 def test_no_import_goes_round_a_door():
     wrong = [
-        f"{source_name(each.path)}:{each.line}: from palpate.{each.imported} import ..."
-        for each in imports()
-        if each.path.name != "__init__.py" and entered_wrongly(each.importer, each.imported)
+        f"{source_name(imported.path)}:{imported.line}: from palpate.{imported.imported} import ..."
+        for imported in imports()
+        if imported.path.name != "__init__.py"
+        and entered_wrongly(imported.importer, imported.imported)
     ]
     assert wrong == []
 
 
 def test_folders_in_a_room_have_no_doors():
     doors = [
-        f"{source_name(each.path)}:{each.line}"
-        for each in imports()
-        if each.path.name == "__init__.py" and "." in room_of(each.importer, ROOMS)
+        f"{source_name(imported.path)}:{imported.line}"
+        for imported in imports()
+        if imported.path.name == "__init__.py" and "." in room_of(imported.importer, ROOMS)
     ]
     assert doors == []
 
 
 def test_faces_hold_names_of_their_own_room_only():
     foreign = [
-        f"{source_name(each.path)}:{each.line}"
-        for each in imports()
-        if each.path.name == "__init__.py"
+        f"{source_name(imported.path)}:{imported.line}"
+        for imported in imports()
+        if imported.path.name == "__init__.py"
         # The root's is the face of the whole house.
-        and each.path.parent != SOURCE
-        and not each.imported.startswith(each.importer.removesuffix(".__init__") + ".")
+        and imported.path.parent != SOURCE
+        and not imported.imported.startswith(imported.importer.removesuffix(".__init__") + ".")
     ]
     assert foreign == []
 
 
 def test_a_name_with_an_underscore_stays_in_its_file():
     private = [
-        f"{source_name(each.path)}:{each.line}: {name}"
-        for each in imports()
-        for name in each.names
+        f"{source_name(imported.path)}:{imported.line}: {name}"
+        for imported in imports()
+        for name in imported.names
         if name.startswith("_") and not name.startswith("__")
     ]
     assert private == []
@@ -170,7 +171,7 @@ def test_hidden_state_is_listed():
     hidden = [
         node.name
         for _, node in all_functions()
-        if any("cache" in each.split("(")[0] for each in decorators(node))
+        if any("cache" in decorator.split("(")[0] for decorator in decorators(node))
     ]
     assert [name for name in hidden if f"`{name}`" not in page] == []
     changed = [

@@ -21,21 +21,21 @@ def wheel(tmp_path_factory):
         [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)],
         cwd=ROOT, check=True, capture_output=True, timeout=120,
     )  # fmt: skip
-    (found,) = folder.glob("*.whl")
-    with zipfile.ZipFile(found) as opened:
-        yield found, opened
+    (wheel_file,) = folder.glob("*.whl")
+    with zipfile.ZipFile(wheel_file) as opened:
+        yield wheel_file, opened
 
 
 def test_every_file_of_the_source_is_in_it(wheel):
     _, opened = wheel
     source = ROOT / "src"
-    kept = {
+    expected = {
         path.relative_to(source).as_posix()
         for path in (source / "palpate").rglob("*")
         if path.is_file() and path.suffix not in (".pyc", ".nbi", ".nbc")
     }
     inside = {name for name in opened.namelist() if ".dist-info/" not in name}
-    assert inside == kept
+    assert inside == expected
     # Templates and configurations, which no import would miss.
     assert {Path(name).suffix for name in inside} >= {".py", ".html", ".js", ".css", ".toml"}
     assert "palpate/py.typed" in inside

@@ -52,11 +52,11 @@ def test_a_slanted_tip_touches_where_it_was_sent(body, kind):
     direction = np.array([0.4, 0.0, -1.0])
     tip = aim(_probe(direction=direction), Arm(tip=kind, radius=5e-3), BALL, rng=_rng())
     np.testing.assert_allclose(tip.direction, direction / np.linalg.norm(direction), atol=1e-12)
-    place = tip.point + touch(body.solid, tip) * tip.direction
+    touched = tip.point + touch(body.solid, tip) * tip.direction
     if kind == "sphere":
         # The centre is one radius over the touched place; facets of 6 mm make it uncertain.
-        np.testing.assert_allclose(np.linalg.norm(place - [0, 0, 0]), 0.045, atol=2e-4)
-        np.testing.assert_allclose(place / 0.045 * 0.04, TOP, atol=1e-3)
+        np.testing.assert_allclose(np.linalg.norm(touched - [0, 0, 0]), 0.045, atol=2e-4)
+        np.testing.assert_allclose(touched / 0.045 * 0.04, TOP, atol=1e-3)
     else:
         np.testing.assert_allclose(tip.point, TOP, atol=1e-9)
 

@@ -57,8 +57,8 @@ def test_a_mesh_of_ones_own(read, tmp_path):
     mesh = block(length=0.05, width=0.04, height=0.03, edge=0.01)
     write_mesh(tmp_path / "own.ply", mesh)
     shape = 'shape = "half-ball"\nradius = 0.04\nedge = 0.008\nelement = 0.01'
-    own = HALF_BALL.replace(shape, 'mesh = "own.ply"').replace("0.04]", "0.03]")
-    config = read(own + "[support]\nbox = { min = [-1, -1, -1], max = [1, 1, 1e-6] }\n")
+    with_own_mesh = HALF_BALL.replace(shape, 'mesh = "own.ply"').replace("0.04]", "0.03]")
+    config = read(with_own_mesh + "[support]\nbox = { min = [-1, -1, -1], max = [1, 1, 1e-6] }\n")
     np.testing.assert_allclose(config.specimen.mesh.vertices, mesh.vertices, atol=1e-9)
     assert len(config.specimen.held) == 2 * 5 * 4
     # By default elements are as large as the mesh's triangles: an equilateral one of that area.

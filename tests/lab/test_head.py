@@ -62,7 +62,7 @@ def test_errors_of_a_calibration_have_the_spread_that_was_asked_for():
     rig = make_head(Head(), MESH)
     error = Calibration(focal=1e-3, centre=0.5, rotation=0.02, translation=2e-4)
     rng = np.random.default_rng(0)
-    focal, centre, turn, place = [], [], [], []
+    focal, centre, turn, shift = [], [], [], []
     for _ in range(400):
         for calibrated, true in zip(miscalibrated(rig, error, MESH, rng=rng).cameras, rig.cameras,
                               strict=True):  # fmt: skip
@@ -70,14 +70,14 @@ def test_errors_of_a_calibration_have_the_spread_that_was_asked_for():
             focal.append(calibrated.matrix[0, 0] / true.matrix[0, 0] - 1.0)
             centre.append(calibrated.matrix[:2, 2] - true.matrix[:2, 2])
             turn.append(np.degrees(cv2.Rodrigues(off[:3, :3])[0].ravel()))
-            place.append(off[:3, 3])
+            shift.append(off[:3, 3])
             assert calibrated.matrix[0, 0] / calibrated.matrix[1, 1] == pytest.approx(
                 1.0, rel=1e-14
             )
     # 1200 to 3600 draws: 2 % of chance, five of these.
-    for found, asked in ((focal, 1e-3), (centre, 0.5), (turn, 0.02), (place, 2e-4)):
-        assert np.std(found) == pytest.approx(asked, rel=0.1)
-        assert abs(np.mean(found)) < 0.15 * asked
+    for errors, asked in ((focal, 1e-3), (centre, 0.5), (turn, 0.02), (shift, 2e-4)):
+        assert np.std(errors) == pytest.approx(asked, rel=0.1)
+        assert abs(np.mean(errors)) < 0.15 * asked
 
 
 def test_an_object_that_was_moved_is_moved_for_all_cameras_alike():
@@ -96,9 +96,9 @@ def test_an_object_that_was_moved_is_moved_for_all_cameras_alike():
 def test_no_error_is_no_change():
     rig = make_head(Head(), MESH)
     calibrated = miscalibrated(rig, Calibration(), MESH, rng=np.random.default_rng(0))
-    for found, other in zip(calibrated.cameras, rig.cameras, strict=True):
-        np.testing.assert_allclose(found.T_camera_object, other.T_camera_object, atol=1e-14)
-        np.testing.assert_array_equal(found.matrix, other.matrix)
+    for camera, other in zip(calibrated.cameras, rig.cameras, strict=True):
+        np.testing.assert_allclose(camera.T_camera_object, other.T_camera_object, atol=1e-14)
+        np.testing.assert_array_equal(camera.matrix, other.matrix)
 
 
 def test_a_head_within_the_object_is_refused():

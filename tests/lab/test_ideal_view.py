@@ -77,11 +77,11 @@ def test_each_pixel_is_the_mean_over_its_own_area(lens):
     assert view.fine == FINE
     picture = camera_picture(camera, view, _waves(view).astype(np.float32))
     parts = 8
-    place = (np.arange(parts) + 0.5) / parts - 0.5
+    offsets = (np.arange(parts) + 0.5) / parts - 0.5
     expected = np.zeros(picture.shape)
     row, column = np.mgrid[: SIZE[1], : SIZE[0]]
-    for down in place:
-        for right in place:
+    for down in offsets:
+        for right in offsets:
             pixels = np.stack([column.ravel() + right, row.ravel() + down], axis=1)
             x, y = normalised(camera, pixels).T
             expected += _pattern(x, y, 0.0).reshape(picture.shape)
@@ -145,8 +145,8 @@ def test_projection_of_the_view_agrees_with_the_cameras():
     assert isinstance(view, IdealView)
     pose = camera.T_camera_object
     x, y, z = (points @ pose[:3, :3].T + pose[:3, 3]).T
-    place = np.stack([x, y], 1) / z[:, None] * view.focal + view.centre
-    offset = project(camera, points) - place
+    pixel = np.stack([x, y], 1) / z[:, None] * view.focal + view.centre
+    offset = project(camera, points) - pixel
     assert np.abs(offset - np.rint(offset)).max() < 1e-9
 
 
@@ -281,8 +281,8 @@ def test_pictures_move_as_the_map_says(ball, rod):
         away = project(camera, truth.point + truth.displacement) - at
         usable = ((truth.hidden_rest | truth.hidden_loaded) >> k & 1) == 0
         keep = usable & _far_from(at[~usable], at) & _inside(at, truth.point)
-        found = cv2.remap(flow, at[keep].astype(np.float32)[:, None], None, cv2.INTER_LINEAR)[:, 0]
-        error = found - away[keep]
+        mapped = cv2.remap(flow, at[keep].astype(np.float32)[:, None], None, cv2.INTER_LINEAR)[:, 0]
+        error = mapped - away[keep]
         assert keep.sum() > 5000
         assert np.linalg.norm(away[keep], axis=1).max() > 1.5
         # Measured: 0.023 px, the library's own on pictures with this noise; its median 0.004 px.

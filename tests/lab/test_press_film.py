@@ -40,9 +40,9 @@ def noisy_frames(count: int) -> Iterator[np.ndarray]:
 
 def test_a_film_gives_its_frames_back(tmp_path: Path) -> None:
     write_film(tmp_path / "c0.avi", noisy_frames(12), 30.0)
-    found = [grey for _, grey in video_frames(tmp_path / "c0.avi")]
+    frames = [grey for _, grey in video_frames(tmp_path / "c0.avi")]
     # FFV1 is lossless; half a grey level is lost on the way through the colours of the codec.
-    for grey, frame in zip(found, noisy_frames(12), strict=True):
+    for grey, frame in zip(frames, noisy_frames(12), strict=True):
         assert np.abs(grey.astype(int) - frame).max() <= 1
 
 

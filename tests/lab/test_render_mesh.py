@@ -27,8 +27,8 @@ def _camera(direction=(0.0, 0.0, 1.0), size=(160, 120), focal=300.0):
 
 def _edge_lengths(fine, camera):
     """Longest edge of each triangle in a camera's picture [px]."""
-    place = project(camera, fine.vertices)[fine.triangles]
-    return np.linalg.norm(place - np.roll(place, -1, axis=1), axis=2).max(axis=1)
+    pixel = project(camera, fine.vertices)[fine.triangles]
+    return np.linalg.norm(pixel - np.roll(pixel, -1, axis=1), axis=2).max(axis=1)
 
 
 def _facing(fine, camera):
@@ -250,21 +250,21 @@ def test_natural_texture_has_its_mean_contrast_and_band():
 def test_natural_texture_is_correlated_as_waves_of_all_directions(coarsest, finest, octaves):
     """sin(k d) / (k d) at a distance d, averaged over the wavelengths, weighted by their power."""
     distance = np.array([0.001, 0.002, 0.003, 0.005])
-    place = np.random.default_rng(9).uniform(0.0, 0.2, (200, 3))
-    moved = place + distance[:, None, None] * np.array([0.6, 0.0, 0.8])
-    found = []
+    start = np.random.default_rng(9).uniform(0.0, 0.2, (200, 3))
+    moved = start + distance[:, None, None] * np.array([0.6, 0.0, 0.8])
+    correlations = []
     for seed in range(100):
-        points = np.concatenate([place[None], moved]).reshape(-1, 3)
+        points = np.concatenate([start[None], moved]).reshape(-1, 3)
         grey = natural(points, coarsest=coarsest, finest=finest, contrast=0.02, rng=_rng(seed))
         first, *others = (grey - 0.5).reshape(5, -1)
-        found.append([(first * other).mean() / (first**2).mean() for other in others])
+        correlations.append([(first * other).mean() / (first**2).mean() for other in others])
     expected = np.zeros(4)
     for low, high, power in octaves:
         length = low * (high / low) ** ((np.arange(200) + 0.5) / 200)
         expected += power * np.sinc(2.0 * distance / length[:, None]).mean(axis=0)
     expected /= sum(power for _, _, power in octaves)
     # 48 waves in each of 100 textures of an octave, and 200 places: 0.01 of chance.
-    assert np.abs(np.mean(found, axis=0) - expected).max() < 0.03
+    assert np.abs(np.mean(correlations, axis=0) - expected).max() < 0.03
 
 
 def test_natural_texture_is_a_function_of_the_place():

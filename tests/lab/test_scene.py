@@ -126,12 +126,12 @@ def test_discs_appear_where_opencv_projects_them(lens, focal, square):
     error = []
     for rim in rims:
         outline = cv2.projectPoints(rim, turn, shift, camera.matrix, camera.distortion)[0][:, 0]
-        place = _polygon_centroid(outline)
-        column, row = np.rint(place).astype(int)
+        centre = _polygon_centroid(outline)
+        column, row = np.rint(centre).astype(int)
         window = (slice(row - 6, row + 7), slice(column - 6, column + 7))
         grid = np.mgrid[window]
         weight = picture[window].astype(float)
-        error.append([(weight * grid[1]).sum(), (weight * grid[0]).sum()] / weight.sum() - place)
+        error.append([(weight * grid[1]).sum(), (weight * grid[0]).sum()] / weight.sum() - centre)
     error = np.array(error)
     # Required: 0.02 px. The samples on a disc's rim leave 0.004 px; the mean over the discs, at
     # all sub-pixel phases, is good to 0.0005.
@@ -275,8 +275,14 @@ def libraries(tmp_path):
 
 def test_candidates_come_newest_first_and_only_once(libraries):
     (libraries / "libLLVM-19.so").symlink_to(libraries / "libLLVM.so.19.1")
-    found = llvm_candidates([str(libraries), str(libraries.parent / "*"), "relative", "Z:/none"])
-    assert [file.name for file in found] == ["libLLVM.so.19.1", "libLLVM-17.so.1", "libLLVM-9.so"]
+    candidates = llvm_candidates(
+        [str(libraries), str(libraries.parent / "*"), "relative", "Z:/none"]
+    )
+    assert [file.name for file in candidates] == [
+        "libLLVM.so.19.1",
+        "libLLVM-17.so.1",
+        "libLLVM-9.so",
+    ]
 
 
 def test_a_file_that_is_no_library_leaves_the_scalar_variant(libraries):
@@ -326,9 +332,9 @@ def test_a_fit_library_is_taken_and_the_users_own_is_asked_first(libraries, monk
     newest = libraries / "libLLVM.so.19.1"
     variant = choose_variant(folders=[str(libraries)], environment={})
     assert variant == Variant("llvm_ad_rgb", f"Mitsuba renders with LLVM 99.0.0 ({newest})", newest)
-    own = libraries / "libLLVM-9.so"
-    variant = choose_variant(folders=[str(libraries)], environment={LLVM_SETTING: str(own)})
-    assert variant.llvm == own
+    chosen = libraries / "libLLVM-9.so"
+    variant = choose_variant(folders=[str(libraries)], environment={LLVM_SETTING: str(chosen)})
+    assert variant.llvm == chosen
 
 
 def test_loading_tells_the_compiler_its_library_and_keeps_the_variant(monkeypatch):

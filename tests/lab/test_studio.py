@@ -66,9 +66,9 @@ def test_exposure_brings_the_bright_parts_near_white_and_not_beyond(bare):
 
 
 def test_a_rod_is_dark_hides_and_casts_a_soft_shadow(studio, config, bare):
-    place = np.array([0.0, 0.0, 0.046])
+    tip = np.array([0.0, 0.0, 0.046])
     upright = rod(np.array([[0.0, -6e-3], [4e-3, 4e-3]]), radius=6e-3, length=0.2)
-    arm = TriangleMesh(place + upright.vertices, upright.triangles)
+    arm = TriangleMesh(tip + upright.vertices, upright.triangles)
     bare, probed = bare[0], _picture(studio, config, arm)[0]
     darker = bare - probed
     # Bright speckles behind the rod are gone; around it some light is.
@@ -92,8 +92,8 @@ def test_gain_drifts_from_picture_to_picture(studio, config, bare):
     drifting = replace(config, pictures=replace(QUIET, gain_drift=0.1))
     ratio = []
     for seed in range(4):
-        found = _picture(studio, drifting, seed=seed)
-        for drifted, plain in zip(found, bare, strict=True):
+        picture = _picture(studio, drifting, seed=seed)
+        for drifted, plain in zip(picture, bare, strict=True):
             middle = (plain > 40) & (drifted < 250)
             ratio.append(np.median(drifted[middle] / plain[middle]))
     # 12 draws: a fifth of chance.

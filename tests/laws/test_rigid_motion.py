@@ -110,5 +110,5 @@ def test_rays_and_triangulation_undo_projection(lens, pose, seed):
         beside = off - (off * direction).sum(axis=1)[:, None] * direction
         # Undistortion stops at 1e-12 of the picture's plane: 1e-12 m at 1 m; a wide margin.
         assert np.abs(beside).max() < 1e-10
-    found = triangulate(Rig(tuple(cameras), 0, "law"), pixels, 0.1)
-    np.testing.assert_allclose(found.point, points, atol=1e-9)
+    triangulated = triangulate(Rig(tuple(cameras), 0, "law"), pixels, 0.1)
+    np.testing.assert_allclose(triangulated.point, points, atol=1e-9)

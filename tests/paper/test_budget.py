@@ -35,11 +35,11 @@ def session(tmp_path):
     return read_session(planned_session(tmp_path))
 
 
-def changed(one, other, prefix=""):
+def changed(first, other, prefix=""):
     """Names of the parts in which two configurations differ, by their numbers."""
     names = set()
-    for field in fields(one):
-        a, b = getattr(one, field.name), getattr(other, field.name)
+    for field in fields(first):
+        a, b = getattr(first, field.name), getattr(other, field.name)
         if hasattr(a, "__dataclass_fields__") and field.name not in ("mesh", "body"):
             names |= changed(a, b, f"{prefix}{field.name}.")
         elif not (a is b or np.array_equal(a, b)):
@@ -80,8 +80,8 @@ def test_where_it_begins_no_error_is_left(config):
     assert changed(exact.calibration, Calibration()) == set()
     assert changed(exact.force_sensor, Sensor()) == set()
     assert (exact.arm.misalignment, exact.arm.placement) == (0.0, 0.0)
-    told = exact.pictures
-    assert (told.noise, told.full_well, told.gain_drift) == (0.0, None, 0.0)
+    pictures = exact.pictures
+    assert (pictures.noise, pictures.full_well, pictures.gain_drift) == (0.0, None, 0.0)
     assert exact.material.law == "linear"
     assert (exact.arm.tip, exact.arm.radius) == (config.arm.tip, config.arm.radius)
 
@@ -128,10 +128,10 @@ def test_forces_are_read_with_the_sensors_noise(session):
     sensor = Sensor(noise=0.01)
     errors = []
     for seed in range(300):
-        told = budget._with_forces(session, sensor, np.random.default_rng(seed))
-        for one, true in zip(told.probings, session.probings, strict=True):
-            np.testing.assert_allclose(one.force_std, 0.01)
-            errors.append(one.force - true.force)
+        disturbed = budget._with_forces(session, sensor, np.random.default_rng(seed))
+        for probing, true in zip(disturbed.probings, session.probings, strict=True):
+            np.testing.assert_allclose(probing.force_std, 0.01)
+            errors.append(probing.force - true.force)
     # 1800 numbers: their deviation is known to 1 / sqrt(3600), 1.7 %; four times that.
     assert np.std(errors) == pytest.approx(0.01, rel=0.07)
     assert (session.probings[0].force == [0, 0, -0.5]).all()
@@ -141,16 +141,16 @@ def test_the_misjudged_rig_is_another_file_and_the_true_one_stays(session, tmp_p
     before = session.rig.read_bytes()
     file = tmp_path / "misjudged.toml"
     known = with_displacements(session)
-    told = budget.with_misjudged_rig(
+    misjudged = budget.with_misjudged_rig(
         known, np.random.default_rng(1), file, error=Calibration(centre=2.0)
     )
-    assert told.rig == file
+    assert misjudged.rig == file
     # What the first rig saw of the motion is not what this one would have seen.
-    assert all(probing.displacement is None for probing in told.probings)
+    assert all(probing.displacement is None for probing in misjudged.probings)
     assert session.rig.read_bytes() == before
     off = [
-        one.matrix[:2, 2] - true.matrix[:2, 2]
-        for one, true in zip(read_rig(file).cameras, read_rig(session.rig).cameras, strict=True)
+        camera.matrix[:2, 2] - true.matrix[:2, 2]
+        for camera, true in zip(read_rig(file).cameras, read_rig(session.rig).cameras, strict=True)
     ]
     assert np.abs(off).min() > 0.0
     assert 0.5 < np.std(off) < 5.0
@@ -172,8 +172,8 @@ def test_every_source_has_its_sessions_and_draws(config, tmp_path, monkeypatch):
     def make(wanted, *, variant, progress, parts, distribute):
         assert distribute is map
         progress("making", 1.0)
-        for one, folder in wanted:
-            made.append((one, folder.name))
+        for wanted_bench, folder in wanted:
+            made.append((wanted_bench, folder.name))
             planned_session(folder)
 
     def errors(session, truth, parts):
@@ -194,11 +194,11 @@ def test_every_source_has_its_sessions_and_draws(config, tmp_path, monkeypatch):
     # What was finished is not estimated again.
     count = len(rigs)
     again = budget.error_budget(config, tmp_path / "again", variant=variant, draws=3, parts=parts)
-    assert [one.name for one in again] == NAMES
+    assert [source.name for source in again] == NAMES
     assert len(rigs) == count == 16
     del made[7:]
-    assert [one.name for one in sources] == NAMES
-    assert [len(one.joint) for one in sources] == [1] * 6 + [3] * 3 + [1]
+    assert [source.name for source in sources] == NAMES
+    assert [len(source.joint) for source in sources] == [1] * 6 + [3] * 3 + [1]
     assert len(made) == 7
     assert said == sorted(said)
     assert said[-1] < 1.0

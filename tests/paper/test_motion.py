@@ -102,15 +102,15 @@ def test_an_instant_without_flow_has_no_points():
 
 @pytest.mark.parametrize("degrees", [0.0, 1e-9, 0.5, 30.0])
 def test_the_angle_error_is_the_turn_of_the_displacement(degrees):
-    place = np.array([[0.01, 0, 0], [0, 0.02, 0], [0.03, 0.01, 0.05]])
+    points = np.array([[0.01, 0, 0], [0, 0.02, 0], [0.03, 0.01, 0.05]])
     motion = turned(2.0)
-    true = place @ (motion[:3, :3] - np.eye(3)).T
-    row = vertex_row(measured(true @ turned(degrees)[:3, :3].T), place, motion, step=1)
+    true = points @ (motion[:3, :3] - np.eye(3)).T
+    row = vertex_row(measured(true @ turned(degrees)[:3, :3].T), points, motion, step=1)
     # Displacements lie across z: turned about it by an angle they are off by that angle; what is
     # left is the rounding of the true one, one in 1e14 of a displacement.
     assert np.degrees(row.angle.mean) == pytest.approx(degrees, abs=1e-11)
     assert np.degrees(row.angle.std) == pytest.approx(0.0, abs=1e-11)
-    chord = 2.0 * np.sin(np.radians(1.0)) * np.linalg.norm(place[:, :2], axis=1)
+    chord = 2.0 * np.sin(np.radians(1.0)) * np.linalg.norm(points[:, :2], axis=1)
     assert row.command == pytest.approx(chord.mean(), rel=1e-12)
     assert row.length.mean == pytest.approx(chord.mean(), rel=1e-12)
     assert row.length.std == pytest.approx(chord.std(), rel=1e-12)
@@ -118,9 +118,9 @@ def test_the_angle_error_is_the_turn_of_the_displacement(degrees):
 
 
 def test_a_vertex_on_the_axis_counts_for_lengths_only():
-    place = np.array([[0.0, 0, 0.02], [0.01, 0, 0]])
+    points = np.array([[0.0, 0, 0.02], [0.01, 0, 0]])
     motion = turned(90.0)
-    row = vertex_row(measured([[0, 0, 0], [0, 0.01 * np.sqrt(2), 0]]), place, motion, step=1)
+    row = vertex_row(measured([[0, 0, 0], [0, 0.01 * np.sqrt(2), 0]]), points, motion, step=1)
     assert row.count == 2
     # The other one really moves by (-1, 1, 0) cm.
     assert row.angle.mean == pytest.approx(np.pi / 4, rel=EXACT)
@@ -129,11 +129,11 @@ def test_a_vertex_on_the_axis_counts_for_lengths_only():
 
 
 def test_vertices_that_were_not_measured_are_left_out_of_the_command():
-    place = np.array([[1.0, 0, 0], [0.01, 0, 0]])
-    row = vertex_row(measured([[np.nan] * 3, [-0.01, 0.01, 0]]), place, turned(90.0), step=1)
+    points = np.array([[1.0, 0, 0], [0.01, 0, 0]])
+    row = vertex_row(measured([[np.nan] * 3, [-0.01, 0.01, 0]]), points, turned(90.0), step=1)
     assert row.count == 1
     assert row.command == pytest.approx(np.sqrt(2) * 0.01, rel=EXACT)
-    nothing = vertex_row(None, place, turned(90.0), step=1)
+    nothing = vertex_row(None, points, turned(90.0), step=1)
     assert nothing.count == 0
     assert np.isnan(nothing.angle.mean)
 
@@ -142,14 +142,14 @@ def test_vertices_that_were_not_measured_are_left_out_of_the_command():
 
 
 def test_rows_of_a_session_follow_its_steps(rigid_session):
-    one = sample()
-    moved = MeasuredMotion("s1", None, True, one.picture, one.flow, one.vertices, None)
-    lost = MeasuredMotion("s2", None, True, one.picture, None, None, "no pictures")
-    found = PaperSession(rigid_session, {"joint": SessionFlow(rig(), (moved, lost), ())})
-    flows, vertices = flow_rows(found, "joint"), vertex_rows(found, "joint")
+    cube = sample()
+    moved = MeasuredMotion("s1", None, True, cube.picture, cube.flow, cube.vertices, None)
+    lost = MeasuredMotion("s2", None, True, cube.picture, None, None, "no pictures")
+    session = PaperSession(rigid_session, {"joint": SessionFlow(rig(), (moved, lost), ())})
+    flows, vertices = flow_rows(session, "joint"), vertex_rows(session, "joint")
     assert [row.step for row in flows] == [row.step for row in vertices] == [1, 2]
     assert [row.command for row in flows] == pytest.approx([3e-3, 6e-3], rel=EXACT)
-    assert flows[0].count == len(one.flow.outcome)
+    assert flows[0].count == len(cube.flow.outcome)
     assert flows[1].count == vertices[1].count == 0
     # The sample moves along x; its cameras look down, along minus z.
     assert flows[0].angle.mean == pytest.approx(np.pi / 2, rel=EXACT)
@@ -197,8 +197,8 @@ def test_the_worst_step_is_found_whichever_its_sign():
 
 
 def test_the_paper_is_compared_with_its_encoder_others_with_the_command():
-    own, rows = ((flow(1, off=1e-4, encoder_off=-2e-4, count=n),) for n in (None, 7))
-    table = flow_summary("t", {"x": {PAPER: own, "joint": rows}})
+    reference, rows = ((flow(1, off=1e-4, encoder_off=-2e-4, count=n),) for n in (None, 7))
+    table = flow_summary("t", {"x": {PAPER: reference, "joint": rows}})
     assert [row[2] for row in table.rows] == pytest.approx([0.3, 0.1])
 
 
@@ -226,14 +226,14 @@ def test_the_summary_of_directions_has_the_first_and_the_last_step():
 
 def sample_session(monkeypatch):
     """The sample's motion under the name s1, and a lost one, s2."""
-    one = sample()
-    monkeypatch.setattr("palpate.paper.motion.surface_map", lambda *_: one.surface)
+    cube = sample()
+    monkeypatch.setattr("palpate.paper.motion.surface_map", lambda *_: cube.surface)
     motions = (
-        MeasuredMotion("s1", None, True, one.picture, one.flow, one.vertices, None),
-        MeasuredMotion("s2", None, True, one.picture, None, None, "torn picture"),
+        MeasuredMotion("s1", None, True, cube.picture, cube.flow, cube.vertices, None),
+        MeasuredMotion("s2", None, True, cube.picture, None, None, "torn picture"),
     )
     session = Session(
-        name="", path=Path("session.toml"), mesh=one.mesh, held_triangles=np.zeros(0, dtype=int),
+        name="", path=Path("session.toml"), mesh=cube.mesh, held_triangles=np.zeros(0, dtype=int),
         probings=(), density=None, gravity=None, rig=Path("rig.toml"), notes=(),
         steps=(Step("s0", "0.png"), Step("s1", "1.png"), Step("s2", "2.png")),
     )  # fmt: skip
@@ -271,9 +271,9 @@ def test_a_motion_is_drawn_by_its_name(monkeypatch):
 
 
 def test_a_motion_that_was_not_measured_is_not_drawn(monkeypatch):
-    found = sample_session(monkeypatch)
+    session = sample_session(monkeypatch)
     with pytest.raises(InputError, match="'s2' cannot be drawn: torn picture"):
-        flow_picture(found, "joint", "s2", "")
+        flow_picture(session, "joint", "s2", "")
 
 
 def test_a_larger_bias_is_drawn_higher():

@@ -180,14 +180,17 @@ def test_a_quick_configuration_is_the_same_on_a_coarser_chip(config):
 @pytest.mark.slow
 def test_from_a_configuration_to_the_rows_of_both_methods(config, tmp_path: Path):
     said: list[tuple[str, float]] = []
-    found = measured_session(
-        config, tmp_path, variant=choose_variant(), progress=lambda *one: said.append(one)
+    measured = measured_session(
+        config,
+        tmp_path,
+        variant=choose_variant(),
+        progress=lambda *arguments: said.append(arguments),
     )
-    assert set(found.flows) == set(METHODS)
+    assert set(measured.flows) == set(METHODS)
     shares = [share for _, share in said]
     assert shares == sorted(shares)
     assert 0.9 < shares[-1] <= 1.0
-    joint, paper = (flow_rows(found, method) for method in ("joint", "lang-pai"))
+    joint, paper = (flow_rows(measured, method) for method in ("joint", "lang-pai"))
     # 1.1 px/mm, cameras 0.1 m apart at 0.81 m: a tenth of a pixel, far more than the noise, is
     # 0.1 mm along the picture. Whole pixels, rounded once a step, are 0.9 mm.
     for step, (ours, theirs) in enumerate(zip(joint, paper, strict=True), start=1):
@@ -196,7 +199,7 @@ def test_from_a_configuration_to_the_rows_of_both_methods(config, tmp_path: Path
         assert ours.count > 20
         assert theirs.count > 1000
     assert joint[0].angle.std < paper[0].angle.std
-    assert np.degrees(vertex_rows(found, "joint")[1].angle.mean) < 5.0
+    assert np.degrees(vertex_rows(measured, "joint")[1].angle.mean) < 5.0
 
 
 @pytest.mark.parametrize("rows", [*FLOWS, *TURNS])

@@ -101,10 +101,10 @@ def test_three_probings_determine_what_the_half_ball_is_made_of(measured):
     assert len(estimate.probes) == COUNT
     assert all(estimate.identifiable.values())
     for name in CONSTANTS.values():
-        found = getattr(estimate, name)
+        constant = getattr(estimate, name)
         # Off by four standard deviations once in 16,000 times; and a claim that could hide
         # anything would be as wide as the prior: 0.5 in nu, without end for the moduli.
-        assert abs(found.value - getattr(truth, name)) < 4.0 * found.std
+        assert abs(constant.value - getattr(truth, name)) < 4.0 * constant.std
     assert estimate.poisson_ratio.std < 0.02
     assert estimate.young_modulus.std < 0.03 * truth.young_modulus
 
@@ -113,8 +113,10 @@ def test_three_probings_determine_what_the_half_ball_is_made_of(measured):
 def test_single_probings_spread_as_they_claim(measured):
     estimate, truth = measured
     for name in CONSTANTS.values():
-        found = [getattr(probe, name) for probe in estimate.probes]
-        off = np.array([(one.value - getattr(truth, name)) / one.std for one in found])
+        constants = [getattr(probe, name) for probe in estimate.probes]
+        off = np.array(
+            [(constant.value - getattr(truth, name)) / constant.std for constant in constants]
+        )
         # The mean square of three standard normal deviates: above 5.4 once in 1000 times.
         assert (off**2).mean() < 5.4
 

@@ -64,7 +64,7 @@ contact = {{ point = [0, 0, 0], radius = 0.006, profile = "smooth" }}
 force = [0, 0, -1.2]
 [probe.images]
 rest = "{rest}_{{camera}}.png"
-loaded = [{", ".join(f'"{each}_{{camera}}.png"' for each in loaded)}]
+loaded = [{", ".join(f'"{stem}_{{camera}}.png"' for stem in loaded)}]
 """
         for name, (rest, loaded) in probings.items()
     ]

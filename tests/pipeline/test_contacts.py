@@ -85,9 +85,9 @@ def _session(contact: Contact, push: float = PUSH) -> Session:
 def measured() -> Session:
     """What a ball moves that touches a circle of Sneddon's radius."""
     local = LocalSurface(np.array([0.0, 0.0, 1.0]), 0.0)
-    found = tool_contact(Sphere(BALL), local, PUSH, shear_modulus=SHEAR, poisson_ratio=NU)
+    touched = tool_contact(Sphere(BALL), local, PUSH, shear_modulus=SHEAR, poisson_ratio=NU)
     contact = Contact.under(Sphere(BALL), PLACE)
-    session = _session(replace(contact, radius=found.radius, traction=found.traction))
+    session = _session(replace(contact, radius=touched.radius, traction=touched.traction))
     graded = graded_session(refined_session(session))
     (seen,) = session_observations(graded, make_object_model(graded))
     (probing,) = session.probings
@@ -205,7 +205,9 @@ def test_a_tool_of_another_friction_is_doubted(measured: Session, name: str, sig
     )
     doubts = [note for note in _contact_notes(measured, [probe]) if "friction =" in note]
     assert len(doubts) == (abs(sigmas) > 3.0)
-    assert all('"slides": if the tool is right, try friction = "sticks"' in each for each in doubts)
+    assert all(
+        '"slides": if the tool is right, try friction = "sticks"' in doubt for doubt in doubts
+    )
 
 
 def test_a_buried_ball_is_refused(measured: Session) -> None:
@@ -253,14 +255,14 @@ def _with_tip(measured: Session, slip: np.ndarray, friction: str) -> Session:
     session = replace(measured, probings=(asked,))
     (seen,) = session_observations(session, make_object_model(session))
     moved = (seen.response.value(NU) @ np.append(probing.force, 1.0) / SHEAR).reshape(-1, 3)
-    told = replace(
+    pressed = replace(
         asked,
         contact=replace(contact, point=PLACE - slip),
         # In the middle the surface moves along the normal only.
         tip_displacement=np.array([0.0, 0.0, moved[-1, 2]]) + slip,
         tip_displacement_std=np.full(3, 1e-5),
     )
-    return replace(session, probings=(told,))
+    return replace(session, probings=(pressed,))
 
 
 def test_a_contact_counts_as_changed_by_its_place_too(measured: Session) -> None:
@@ -308,8 +310,8 @@ def _displaced(tool: Tool, travel: np.ndarray | None = None) -> Contact:
     potentials = disc_potentials(contact.pressure)
     constant, slope = disc_displacement(disc, potentials, -DOWN, mesh.vertices)
     dent = (constant + 0.3 * slope) @ (FORCE * DOWN) / 2e4
-    found = displaced_contacts(session, _surface(mesh), [_rigid(mesh) + dent], **CONSTANTS)
-    return found.probings[0].contact
+    displaced = displaced_contacts(session, _surface(mesh), [_rigid(mesh) + dent], **CONSTANTS)
+    return displaced.probings[0].contact
 
 
 def _slope() -> np.ndarray:
@@ -360,19 +362,21 @@ def test_a_curved_surface_turns_its_face_sooner() -> None:
     probing = replace(session.probings[0], contact=contact, force=1e-9 * DOWN)
     moved = np.cross(TURN, mesh.vertices - top)
     session = replace(session, probings=(probing,))
-    (found,) = displaced_contacts(session, _surface(mesh), [moved], **CONSTANTS).probings
+    (displaced,) = displaced_contacts(session, _surface(mesh), [moved], **CONSTANTS).probings
     expected = STEP * TIP * big / (TIP + big) * _slope()
     # The mesh's own curvature is known to 2 %.
-    np.testing.assert_allclose((found.contact.point - top)[:2], expected[:2], rtol=0.0, atol=6e-6)
+    np.testing.assert_allclose(
+        (displaced.contact.point - top)[:2], expected[:2], rtol=0.0, atol=6e-6
+    )
 
 
 def test_contacts_without_a_tool_stay() -> None:
     mesh = box((SIDE, SIDE, SIDE), 4)
     session = _block_session(mesh, Sphere(TIP))
     (probing,) = session.probings
-    told = replace(probing, contact=Contact(TOP, 3e-3, "hertz"))
-    session = replace(session, probings=(told,))
-    found = displaced_contacts(session, _surface(mesh), [_rigid(mesh)], **CONSTANTS)
-    assert found.probings[0] is told
+    hertzian = replace(probing, contact=Contact(TOP, 3e-3, "hertz"))
+    session = replace(session, probings=(hertzian,))
+    displaced = displaced_contacts(session, _surface(mesh), [_rigid(mesh)], **CONSTANTS)
+    assert displaced.probings[0] is hertzian
     # The circle of a tool is found anew about the place where it presses.
-    assert with_contact_radii(found, **CONSTANTS).probings[0].contact is told.contact
+    assert with_contact_radii(displaced, **CONSTANTS).probings[0].contact is hertzian.contact

@@ -49,36 +49,36 @@ def changed(session, **changes):
 
 
 def test_the_modulus_over_time_comes_out(result):
-    found = result.estimate.relaxation
-    assert (found.constant, found.age) == ("shear_modulus", pytest.approx(RISE + 300.0))
+    relaxation = result.estimate.relaxation
+    assert (relaxation.constant, relaxation.age) == ("shear_modulus", pytest.approx(RISE + 300.0))
     modulus = TWO.relaxation()
-    true = [SHEAR * modulus.at(np.array([each.time]))[0] for each in found.curve]
+    true = [SHEAR * modulus.at(np.array([point.time]))[0] for point in relaxation.curve]
     # The static modulus is off by 0.6 %, from noise of 0.5 % of the largest motion at 121 points.
-    np.testing.assert_allclose([each.modulus.value for each in found.curve], true, rtol=0.02)
-    for each, value in zip(found.curve, true, strict=True):
-        assert each.modulus.ci95[0] < value < each.modulus.ci95[1]
-    assert found.curve[0].time >= found.rise
-    assert found.curve[-1].time <= found.hold
-    assert {1.0, 10.0, 100.0} < {round(each.time, 9) for each in found.curve}
-    times = [each.time.value for each in found.terms]
+    np.testing.assert_allclose([point.modulus.value for point in relaxation.curve], true, rtol=0.02)
+    for point, value in zip(relaxation.curve, true, strict=True):
+        assert point.modulus.ci95[0] < value < point.modulus.ci95[1]
+    assert relaxation.curve[0].time >= relaxation.rise
+    assert relaxation.curve[-1].time <= relaxation.hold
+    assert {1.0, 10.0, 100.0} < {round(point.time, 9) for point in relaxation.curve}
+    times = [term.time.value for term in relaxation.terms]
     np.testing.assert_allclose(times, modulus.times, rtol=0.05)
-    assert found.instantaneous.value == pytest.approx(SHEAR, rel=0.01)
-    assert found.long_term.value == pytest.approx(SHEAR * modulus.long_term, rel=0.01)
-    assert "Poisson's ratio is constant over the hold of 'n01'" in found.remarks[0]
+    assert relaxation.instantaneous.value == pytest.approx(SHEAR, rel=0.01)
+    assert relaxation.long_term.value == pytest.approx(SHEAR * modulus.long_term, rel=0.01)
+    assert "Poisson's ratio is constant over the hold of 'n01'" in relaxation.remarks[0]
     # Radians of 0.5 to 300 s.
-    assert [each.frequency for each in found.loss] == pytest.approx([1e-3, 1e-2, 1e-1])
-    for each, angle in zip(
-        found.loss, modulus.loss_angle(10.0 ** np.arange(-3.0, 0.0)), strict=True
+    assert [point.frequency for point in relaxation.loss] == pytest.approx([1e-3, 1e-2, 1e-1])
+    for point, angle in zip(
+        relaxation.loss, modulus.loss_angle(10.0 ** np.arange(-3.0, 0.0)), strict=True
     ):
-        assert each.angle.value == pytest.approx(angle, rel=0.05)
-        assert each.angle.ci95[0] < angle < each.angle.ci95[1]
+        assert point.angle.value == pytest.approx(angle, rel=0.05)
+        assert point.angle.ci95[0] < angle < point.angle.ci95[1]
 
 
 def test_the_interval_joins_those_of_the_static_fit_and_of_the_shape(result):
     static, (low, high) = result.estimate.shear_modulus, result.estimate.shear_modulus.ci95
     wide = 0.5 * np.log(high / low)
-    for each in result.estimate.relaxation.curve:
-        assert 0.5 * np.log(each.modulus.ci95[1] / each.modulus.ci95[0]) > wide
+    for point in result.estimate.relaxation.curve:
+        assert 0.5 * np.log(point.modulus.ci95[1] / point.modulus.ci95[0]) > wide
     last = result.estimate.relaxation.curve[-1].modulus
     # After five time constants the modulus is that of the static fit to a few per mille.
     assert last.value == pytest.approx(static.value, rel=0.01)
@@ -113,7 +113,7 @@ def test_the_figure_has_what_was_seen_and_the_band(result):
     np.testing.assert_array_equal(force.get_ydata(), motion.force[motion.time > 0.0])
     assert len(fit.get_xdata()) == (motion.time > 0.0).sum()
     shown = modulus.lines[0].get_ydata()
-    wanted = [each.modulus.value for each in result.estimate.relaxation.curve]
+    wanted = [point.modulus.value for point in result.estimate.relaxation.curve]
     np.testing.assert_allclose(1e3 * shown, wanted)
     assert (moved.get_xscale(), modulus.get_xscale(), modulus.get_yscale()) == ("log",) * 3
     assert creep_figure(replace(result, creep=None)) is None
@@ -126,14 +126,16 @@ def test_an_elastic_body_is_called_elastic(session, static):
         rng = np.random.default_rng(seed)
         noise = 0.01 * np.abs(shape).max() * rng.standard_normal((len(SEEN), *shape.shape))
         frames = FORCE[list(SEEN), None, None] * shape + noise
-        found = with_relaxation(changed(session, frames=frames), static).estimate.relaxation
-        called += found.terms == ()
+        relaxation = with_relaxation(changed(session, frames=frames), static).estimate.relaxation
+        called += relaxation.terms == ()
     # One of forty is wrong at most.
     assert called >= 9
-    assert found.remarks[0] == "No creep is seen: the modulus is the same at all times."
+    assert relaxation.remarks[0] == "No creep is seen: the modulus is the same at all times."
     wanted = static.estimate.shear_modulus
-    assert found.instantaneous.value == found.long_term.value == pytest.approx(wanted.value)
-    assert found.long_term.ci95 == pytest.approx(wanted.ci95)
+    assert (
+        relaxation.instantaneous.value == relaxation.long_term.value == pytest.approx(wanted.value)
+    )
+    assert relaxation.long_term.ci95 == pytest.approx(wanted.ci95)
 
 
 def test_where_no_modulus_is_determined_only_ratios_are(session, static):
@@ -141,9 +143,9 @@ def test_where_no_modulus_is_determined_only_ratios_are(session, static):
         static.estimate, status=Status.NOTHING_IDENTIFIABLE,
         identifiable=dict.fromkeys(static.estimate.identifiable, False),
     )  # fmt: skip
-    found = with_relaxation(session, replace(static, estimate=unknown)).estimate.relaxation
-    assert found.constant == "young_modulus"
-    assert "No modulus is determined: only ratios of the curve and times are." in found.remarks
+    relaxation = with_relaxation(session, replace(static, estimate=unknown)).estimate.relaxation
+    assert relaxation.constant == "young_modulus"
+    assert "No modulus is determined: only ratios of the curve and times are." in relaxation.remarks
 
 
 def test_a_model_that_is_contradicted_has_a_curve_without_intervals(session, static):
@@ -153,11 +155,11 @@ def test_a_model_that_is_contradicted_has_a_curve_without_intervals(session, sta
         for name in static.estimate.identifiable
     }
     estimate = replace(static.estimate, status=Status.MODEL_CONTRADICTED, **bare)
-    found = with_relaxation(session, replace(static, estimate=estimate)).estimate.relaxation
-    assert np.isfinite([each.modulus.value for each in found.curve]).all()
-    assert np.isnan([each.modulus.ci95 for each in found.curve]).all()
+    relaxation = with_relaxation(session, replace(static, estimate=estimate)).estimate.relaxation
+    assert np.isfinite([point.modulus.value for point in relaxation.curve]).all()
+    assert np.isnan([point.modulus.ci95 for point in relaxation.curve]).all()
     # Times do not depend on the modulus.
-    assert np.isfinite([each.time.ci95 for each in found.terms]).all()
+    assert np.isfinite([term.time.ci95 for term in relaxation.terms]).all()
 
 
 def test_other_loads_do_not_follow_the_force(session, static):
@@ -171,13 +173,13 @@ def test_frames_that_show_nothing_count_for_nothing(session, static):
     series = session.probings[0].series
     frames = series.frames.copy()
     frames[-2] = np.nan
-    found = with_relaxation(changed(session, frames=frames), static)
-    assert len(found.creep.motions[0].instant) == len(SEEN) - 1
+    relaxed = with_relaxation(changed(session, frames=frames), static)
+    assert len(relaxed.creep.motions[0].instant) == len(SEEN) - 1
     # Nothing moved yet: a frame at rest, exactly.
     frames[0] = 0.0
-    found = with_relaxation(changed(session, frames=frames), static)
-    assert found.creep.motions[0].amplitude[0] == 0.0
-    assert found.estimate.relaxation.remarks[0].startswith("Poisson's ratio is constant")
+    relaxed = with_relaxation(changed(session, frames=frames), static)
+    assert relaxed.creep.motions[0].amplitude[0] == 0.0
+    assert relaxed.estimate.relaxation.remarks[0].startswith("Poisson's ratio is constant")
 
 
 def test_without_points_far_from_a_ball_its_frames_are_not_used(session, static):
@@ -201,18 +203,18 @@ def test_a_short_hold_does_not_show_the_long_term(session, static, noise):
     # Two thirds of the longest time constant; not even a curve that is known to 0.1 % tells.
     (probing,) = session.probings
     series, end = probing.series, int(np.searchsorted(TIMES, 40.0))
-    kept = series.instant < end
+    early = series.instant < end
     moved = TWO.response(TIMES, FORCE) / TWO.response(TIMES, FORCE)[-1]
     exact = moved[series.instant, None, None] * static.probes[0].predicted
     short = changed(
         session, time=series.time[:end], force=series.force[:end], reference=end - 1,
-        instant=series.instant[kept],
-        frames=(exact + noise * (series.frames - exact))[kept],
+        instant=series.instant[early],
+        frames=(exact + noise * (series.frames - exact))[early],
     )  # fmt: skip
-    found = with_relaxation(short, static).estimate.relaxation
-    assert found.long_term is None
-    assert "The long-term modulus is not determined: hold for" in " ".join(found.remarks)
-    assert found.curve[-1].time <= found.hold < 40.0
+    relaxation = with_relaxation(short, static).estimate.relaxation
+    assert relaxation.long_term is None
+    assert "The long-term modulus is not determined: hold for" in " ".join(relaxation.remarks)
+    assert relaxation.curve[-1].time <= relaxation.hold < 40.0
 
 
 def test_terms_as_short_as_the_rise_hide_the_modulus_at_once(session, static):
@@ -222,18 +224,18 @@ def test_terms_as_short_as_the_rise_hide_the_modulus_at_once(session, static):
     series = session.probings[0].series
     frames = moved[series.instant, None, None] * static.probes[0].predicted
     early = changed(session, force=series.force[-1] * rise, frames=frames)
-    found = with_relaxation(early, static).estimate.relaxation
-    assert found.rise == pytest.approx(3.0, rel=0.1)
-    assert found.instantaneous is None
-    assert "The instantaneous modulus is not determined" in " ".join(found.remarks)
+    relaxation = with_relaxation(early, static).estimate.relaxation
+    assert relaxation.rise == pytest.approx(3.0, rel=0.1)
+    assert relaxation.instantaneous is None
+    assert "The instantaneous modulus is not determined" in " ".join(relaxation.remarks)
 
 
 def test_a_hold_shorter_than_the_rise_says_nothing(session, static):
     series = session.probings[0].series
     rising = changed(session, force=series.force[-1] * series.time / series.time[-1])
-    found = with_relaxation(rising, static).estimate
-    assert found.relaxation is None
-    assert "the force is held for 8.63 s after it rose for 286 s" in found.notes[0]
+    estimate = with_relaxation(rising, static).estimate
+    assert estimate.relaxation is None
+    assert "the force is held for 8.63 s after it rose for 286 s" in estimate.notes[0]
 
 
 def test_a_ratio_that_changes_is_said(tmp_path):
@@ -267,11 +269,11 @@ def test_the_tip_alone_says_how_the_body_creeps(session, static, contact, power)
         TIMES, force * FORCE, len(TIMES) - 1, tip, np.zeros(0, dtype=int), np.zeros((0, 0, 3)), ""
     )
     poked = replace(probing, contact=contact, series=series)
-    found = with_relaxation(replace(session, probings=(poked,)), static).estimate.relaxation
+    relaxation = with_relaxation(replace(session, probings=(poked,)), static).estimate.relaxation
     unit = estimate.shear_modulus.value * TWO.response(TIMES, FORCE)[-1]
-    true = [unit * TWO.relaxation().at(np.array([each.time]))[0] for each in found.curve]
+    true = [unit * TWO.relaxation().at(np.array([point.time]))[0] for point in relaxation.curve]
     # The table that inverts the depth has steps of a thousandth.
-    np.testing.assert_allclose([each.modulus.value for each in found.curve], true, rtol=2e-3)
+    np.testing.assert_allclose([point.modulus.value for point in relaxation.curve], true, rtol=2e-3)
 
 
 def test_points_near_a_ball_are_left_out(session, static):
@@ -282,6 +284,6 @@ def test_points_near_a_ball_are_left_out(session, static):
     frames[:, near] *= 1.5
     ball = replace(session, probings=(replace(probing, contact=contact),))
     wanted = with_relaxation(ball, static).estimate.relaxation
-    found = with_relaxation(changed(ball, frames=frames), static).estimate.relaxation
+    relaxation = with_relaxation(changed(ball, frames=frames), static).estimate.relaxation
     assert near.sum() > 0
-    assert found == wanted
+    assert relaxation == wanted

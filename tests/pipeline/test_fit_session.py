@@ -57,12 +57,12 @@ KINDS = {
 }
 
 
-def _probing(mesh: TriangleMesh, name: str, place: list[float], force: list[float]) -> Probing:
+def _probing(mesh: TriangleMesh, name: str, direction: list[float], force: list[float]) -> Probing:
     """Pressed at a place of the unit sphere; every third vertex is seen."""
     seen = np.flatnonzero(mesh.vertices[:, 2] > -0.2 * RADIUS)
     points = mesh.vertices[seen]
     nothing = np.zeros_like(points)
-    contact = closest_points(mesh, RADIUS * np.array([place])).position[0]
+    contact = closest_points(mesh, RADIUS * np.array([direction])).position[0]
     return Probing(
         name=name,
         contact=Contact(contact, 0.008, "smooth"),
@@ -130,9 +130,9 @@ def test_what_was_put_in_comes_out(result: FitResult) -> None:
     assert estimate.shear_modulus.value == pytest.approx(SHEAR, rel=1e-7)
     assert estimate.young_modulus.value == pytest.approx(2 * SHEAR * (1 + NU), rel=1e-7)
     assert estimate.status is Status.OK
-    assert [one.name for one in estimate.probes] == ["a", "b", "c"]
-    for one in estimate.probes:
-        assert one.poisson_ratio.value == pytest.approx(NU, abs=1e-6)
+    assert [probe.name for probe in estimate.probes] == ["a", "b", "c"]
+    for probe in estimate.probes:
+        assert probe.poisson_ratio.value == pytest.approx(NU, abs=1e-6)
 
 
 def test_gravity_and_the_tip_belong_to_the_model(session: Session, result: FitResult) -> None:
@@ -154,13 +154,13 @@ def test_every_force_sensor_has_errors_of_its_own(session: Session) -> None:
         for probing, sensor in zip(session.probings, sensors, strict=True)
     ]
     errors = replace(session.errors, force_gains={"weights": 0.0})
-    found = fit_session(replace(session, probings=tuple(probings), errors=errors)).estimate
+    estimate = fit_session(replace(session, probings=tuple(probings), errors=errors)).estimate
     turns = [f"turn of the force sensor '{{}}' about {axis}" for axis in "xyz"]
-    shared = [error.name for error in found.errors if "force sensor" in error.name]
+    shared = [error.name for error in estimate.errors if "force sensor" in error.name]
     assert shared == ["gain of the force sensor 'gauge'", *(turn.format("gauge") for turn in turns)]
     # What one probing alone has is its own.
-    own = [error.name for error in found.probes[0].errors if "force sensor" in error.name]
-    assert own == [turn.format("weights") for turn in turns]
+    unshared = [error.name for error in estimate.probes[0].errors if "force sensor" in error.name]
+    assert unshared == [turn.format("weights") for turn in turns]
 
 
 @pytest.mark.slow
@@ -179,12 +179,12 @@ def test_both_methods_end_at_the_same_minimum(still: Session) -> None:
     # The mesh's own error is taken linear about the last linearisation by one method, everywhere by
     # the other: a part of a standard error.
     for name in CONSTANTS:
-        one, other = (getattr(result.intervals, name) for result in results)
-        assert other.value == pytest.approx(one.value, abs=0.3 * one.std)
-        assert other.std == pytest.approx(one.std, rel=0.1)
-        assert other.value != one.value
-    for one, other in zip(fast.probes, slow.probes, strict=True):
-        assert other.rms_residual == pytest.approx(one.rms_residual, rel=1e-2)
+        first, other = (getattr(result.intervals, name) for result in results)
+        assert other.value == pytest.approx(first.value, abs=0.3 * first.std)
+        assert other.std == pytest.approx(first.std, rel=0.1)
+        assert other.value != first.value
+    for quick, other in zip(fast.probes, slow.probes, strict=True):
+        assert other.rms_residual == pytest.approx(quick.rms_residual, rel=1e-2)
 
 
 def test_settings_are_kept_with_the_result(session: Session, result: FitResult) -> None:
@@ -209,25 +209,25 @@ def test_seconds_are_those_of_the_stages(result: FitResult) -> None:
 
 
 def test_progress_rises_to_one(session: Session) -> None:
-    told: list[tuple[str, float]] = []
-    fit_session(session, progress=lambda text, share: told.append((text, share)))
-    shares = [share for _, share in told]
+    steps: list[tuple[str, float]] = []
+    fit_session(session, progress=lambda text, share: steps.append((text, share)))
+    shares = [share for _, share in steps]
     assert shares == sorted(shares)
-    assert (shares[0], told[-1]) == (0.0, ("fit done", 1.0))
-    assert dict(told)["minimisation"] == pytest.approx(0.75)
-    assert dict(told)["validation"] == pytest.approx(0.9875)
+    assert (shares[0], steps[-1]) == (0.0, ("fit done", 1.0))
+    assert dict(steps)["minimisation"] == pytest.approx(0.75)
+    assert dict(steps)["validation"] == pytest.approx(0.9875)
     # The models of the given mesh take their time, and are told one by one.
-    given = [share for text, share in told if text.startswith("the given mesh: ")]
+    given = [share for text, share in steps if text.startswith("the given mesh: ")]
     assert len(set(given)) >= 4
     assert 0.2 < max(given) < 0.4
 
 
 def test_an_error_of_scale_moves_the_moduli(session: Session) -> None:
-    found = fit_session(replace(session, errors=replace(EXACT, length_scale=0.04))).estimate
-    scales = [one.prior_std for one in found.errors if one.name.startswith("scale")]
+    estimate = fit_session(replace(session, errors=replace(EXACT, length_scale=0.04))).estimate
+    scales = [error.prior_std for error in estimate.errors if error.name.startswith("scale")]
     assert scales == [0.04] * 3
     # A scale along one axis of three moves the moduli by about half of it.
-    assert found.shear_modulus.std / found.shear_modulus.value > 0.3 * 0.04
+    assert estimate.shear_modulus.std / estimate.shear_modulus.value > 0.3 * 0.04
 
 
 def _with_rig(session: Session, folder: Path, base_std: float) -> Session:
@@ -254,23 +254,30 @@ def test_what_the_calibration_leaves_open_is_in_the_interval(
     """Displacements that are all longer by a share mean a modulus that is lower by it."""
     two = replace(session, probings=session.probings[:2], errors=EXACT)
     probings = tuple(
-        replace(one, tip_displacement=None, tip_displacement_std=None) for one in two.probings
+        replace(probing, tip_displacement=None, tip_displacement_std=None)
+        for probing in two.probings
     )
     without = fit_session(replace(two, probings=probings)).estimate
     seen = _with_rig(two, tmp_path, 0.02)
-    found = fit_session(replace(seen, probings=probings)).estimate
+    estimate = fit_session(replace(seen, probings=probings)).estimate
     for name in ("shear_modulus", "young_modulus"):
-        one, other = getattr(without, name), getattr(found, name)
-        expected = np.hypot(one.std / one.value, 0.02)
+        first, other = getattr(without, name), getattr(estimate, name)
+        expected = np.hypot(first.std / first.value, 0.02)
         # The triangulated points are those of second-order differences; the intervals' quantiles.
         assert other.std / other.value == pytest.approx(expected, rel=0.02)
-    (error,) = [one for one in found.errors if "calibration" in one.name]
+    (error,) = [
+        calibration_error
+        for calibration_error in estimate.errors
+        if "calibration" in calibration_error.name
+    ]
     # As large along each of the three axes.
     assert error.prior_std == pytest.approx(0.02 * np.sqrt(3.0), rel=1e-3)
-    assert found.settings["lengths"]["std"] == pytest.approx([0.02] * 3, rel=1e-3)
+    assert estimate.settings["lengths"]["std"] == pytest.approx([0.02] * 3, rel=1e-3)
     # An arm that measured the tip is another scale, and the fit believes the better one.
     better = fit_session(seen).estimate.shear_modulus
-    assert better.std / better.value < 0.85 * found.shear_modulus.std / found.shear_modulus.value
+    assert (
+        better.std / better.value < 0.85 * estimate.shear_modulus.std / estimate.shear_modulus.value
+    )
 
 
 def test_contacts_have_their_own_standard_deviation(still: Session) -> None:
@@ -280,12 +287,12 @@ def test_contacts_have_their_own_standard_deviation(still: Session) -> None:
         make_object_model(only),
     )
     for seen, std in ((first, 4e-4), (second, 8e-4)):
-        assert [one.std for one in seen.nuisances[-1].parameters[:2]] == [std, std]
+        assert [parameter.std for parameter in seen.nuisances[-1].parameters[:2]] == [std, std]
     same = replace(only, errors=replace(errors, contact_points={}))
     (usual, _) = session_observations(same, make_object_model(same))
     columns = [
-        columns_of(one.nuisances[-1], one.response.value(NU), _unit_load(only), NU)[:, :2]
-        for one in (first, usual)
+        columns_of(observed.nuisances[-1], observed.response.value(NU), _unit_load(only), NU)[:, :2]
+        for observed in (first, usual)
     ]
     # Linear in the shift, but for terms of third order over 0.8 mm.
     slope = (columns[0] * columns[1]).sum() / np.square(columns[1]).sum()
@@ -303,19 +310,19 @@ def test_columns_of_a_contact_are_differences_of_contacts(still: Session) -> Non
     (seen,) = session_observations(first, make_object_model(first))
     contact, load = first.probings[0].contact, _unit_load(first)
     response = seen.response.value(NU)
-    found = columns_of(seen.nuisances[-1], response, load, NU)
+    columns = columns_of(seen.nuisances[-1], response, load, NU)
     curvature = curvature_of(seen.nuisances[-1], response, load, NU)
 
     def moved(other: Contact) -> np.ndarray:
         probing = replace(first.probings[0], contact=other)
         there = replace(first, probings=(probing,))
-        (one,) = session_observations(there, make_object_model(there))
-        return one.response.value(NU) @ load
+        (observed,) = session_observations(there, make_object_model(there))
+        return observed.response.value(NU) @ load
 
     # Two tangents, the radius, and the mesh about it.
-    assert [one.unit for one in seen.nuisances[-1].parameters] == ["m", "m", "", ""]
-    assert all("toward +" in one.name for one in seen.nuisances[-1].parameters[:2])
-    axes = ["xyz".index(one.name[-1]) for one in seen.nuisances[-1].parameters[:2]]
+    assert [parameter.unit for parameter in seen.nuisances[-1].parameters] == ["m", "m", "", ""]
+    assert all("toward +" in parameter.name for parameter in seen.nuisances[-1].parameters[:2])
+    axes = ["xyz".index(parameter.name[-1]) for parameter in seen.nuisances[-1].parameters[:2]]
     for k, axis in enumerate(axes):
         # The root of three deviations to either side.
         step = np.sqrt(3.0)
@@ -324,11 +331,11 @@ def test_columns_of_a_contact_are_differences_of_contacts(still: Session) -> Non
         on, back = (moved(replace(contact, point=end)) for end in ends)
         expected = 0.5 * (on - back) / step
         # Coarser cells, and a tangent that is not quite the axis.
-        np.testing.assert_allclose(found[:, k], expected, atol=0.06 * np.abs(expected).max())
+        np.testing.assert_allclose(columns[:, k], expected, atol=0.06 * np.abs(expected).max())
         expected = (on + back - 2.0 * (response @ load)) / step**2
         np.testing.assert_allclose(curvature[:, k, k], expected, atol=0.06 * np.abs(expected).max())
     expected = moved(replace(contact, radius=1.05 * contact.radius)) - response @ load
-    np.testing.assert_allclose(found[:, 2], expected, atol=0.02 * np.abs(expected).max())
+    np.testing.assert_allclose(columns[:, 2], expected, atol=0.02 * np.abs(expected).max())
 
 
 def test_columns_of_a_pose_are_those_of_a_mesh_that_lies_elsewhere(still: Session) -> None:
@@ -345,7 +352,7 @@ def test_columns_of_a_pose_are_those_of_a_mesh_that_lies_elsewhere(still: Sessio
     (seen,) = session_observations(first, model)
     load, response = _unit_load(first), seen.response.value(NU)
     pose, _ = seen.nuisances
-    found = columns_of(pose, response, load, NU)
+    columns = columns_of(pose, response, load, NU)
     centre = first.mesh.vertices.mean(axis=0)
     far = np.linalg.norm(seen.position - first.probings[0].contact.point, axis=1) > 0.015
 
@@ -357,8 +364,8 @@ def test_columns_of_a_pose_are_those_of_a_mesh_that_lies_elsewhere(still: Sessio
             surface=closest_points(first.mesh, inside),
         )  # fmt: skip
         there = replace(first, probings=(replace(first.probings[0], displacement=field),))
-        (one,) = session_observations(there, model)
-        return (one.response.value(NU) @ load).reshape(-1, 3) @ turn.T
+        (observed,) = session_observations(there, model)
+        return (observed.response.value(NU) @ load).reshape(-1, 3) @ turn.T
 
     for k in range(6):
         half = 0.5 * (3e-4 if k < 3 else 4e-3) * np.eye(3)[k % 3]
@@ -369,7 +376,7 @@ def test_columns_of_a_pose_are_those_of_a_mesh_that_lies_elsewhere(still: Sessio
             ends.append(seen_from(shift, turn)[far])
         expected = ends[0] - ends[1]
         # Off the contact's dip the field is nearly linear over such a step.
-        error = found[:, k].reshape(-1, 3)[far] - expected
+        error = columns[:, k].reshape(-1, 3)[far] - expected
         assert np.abs(error).max() < 0.05 * np.abs(expected).max()
 
 
@@ -406,14 +413,14 @@ def test_displacements_that_are_averages_have_the_constants_of_their_points(
     session: Session, result: FitResult
 ) -> None:
     through = _seen_through_windows(session)
-    found = fit_session(through).estimate
+    estimate = fit_session(through).estimate
     # Weights have the digits of single precision.
     for name in CONSTANTS:
         expected = getattr(result.estimate, name)
-        assert abs(getattr(found, name).value / expected.value - 1.0) < 1e-5
+        assert abs(getattr(estimate, name).value / expected.value - 1.0) < 1e-5
     alone = tuple(
-        replace(one, displacement=replace(one.displacement, average=None))
-        for one in through.probings
+        replace(probing, displacement=replace(probing.displacement, average=None))
+        for probing in through.probings
     )
     # Taken for the points' own: 0.008 away.
     other = fit_session(replace(through, probings=alone)).estimate
@@ -436,9 +443,9 @@ def test_where_averages_are_sampled_is_kept_for_further_pushes(
     # All probings have the same sampling points: once for each of the meshes.
     assert every > len(asked) - every > 0
     asked.clear()
-    found = fit_session(through, cache=memory).estimate
+    estimate = fit_session(through, cache=memory).estimate
     assert asked == []
-    assert [getattr(found, name) for name in CONSTANTS] == [
+    assert [getattr(estimate, name) for name in CONSTANTS] == [
         getattr(anew, name) for name in CONSTANTS
     ]
 
@@ -500,20 +507,20 @@ def test_a_turned_session_has_the_same_constants(still: Session) -> None:
             )
         )
     turned = replace(noisy, mesh=mesh, probings=tuple(probings), gravity=turn @ still.gravity)
-    one, other = fit_session(noisy).estimate, fit_session(turned).estimate
+    first, other = fit_session(noisy).estimate, fit_session(turned).estimate
     # Rules of integration are chosen for blocks of points along the axes: other rules in another
     # frame, which agree to 1.4e-4 on so coarse a mesh; its step to the graded one is a difference,
     # and so is the size of the mesh's error that follows from it.
     for name in CONSTANTS:
-        assert getattr(other, name).value == pytest.approx(getattr(one, name).value, rel=2e-3)
+        assert getattr(other, name).value == pytest.approx(getattr(first, name).value, rel=2e-3)
 
 
 @pytest.mark.slow
 def test_where_poisson_s_ratio_is_open_the_search_ends_all_the_same() -> None:
     """Bent, a beam says nothing about it: the misfit hardly changes over all of its range."""
     beam = read_session(Path(__file__).parents[2] / "examples" / "beam")
-    found = fit_session(beam).estimate
-    assert found.status is Status.from_identifiable(
+    estimate = fit_session(beam).estimate
+    assert estimate.status is Status.from_identifiable(
         {"young_modulus": True, "shear_modulus": False, "poisson_ratio": False}
     )
 
@@ -579,10 +586,10 @@ def test_a_fit_finds_all_that_does_not_depend_on_what_was_measured(
     prepare_body(coarse_session, cache=tmp_path / "cache")
     assert factorised == expected[: len(expected) - left]
     factorised.clear()
-    found = fit_session(coarse_session, cache=tmp_path / "cache").estimate
+    estimate = fit_session(coarse_session, cache=tmp_path / "cache").estimate
     assert factorised == expected[len(expected) - left :]
-    assert found.shear_modulus == plain.shear_modulus
-    assert found.poisson_ratio == plain.poisson_ratio
+    assert estimate.shear_modulus == plain.shear_modulus
+    assert estimate.poisson_ratio == plain.poisson_ratio
 
 
 @pytest.mark.slow

@@ -27,11 +27,11 @@ SETTINGS = FitSettings(poisson_range=(0.2, 0.4))
 
 
 def constants(session):
-    found = fit_session(session, settings=SETTINGS).estimate
+    estimate = fit_session(session, settings=SETTINGS).estimate
     return [
         part
-        for one in (found.shear_modulus, found.poisson_ratio)
-        for part in (one.value, one.std, *one.ci95)
+        for constant in (estimate.shear_modulus, estimate.poisson_ratio)
+        for part in (constant.value, constant.std, *constant.ci95)
     ]
 
 
@@ -50,6 +50,6 @@ def test_a_push_is_that_of_the_dense_model(session, request):
     material = {"shear_modulus": SHEAR_MODULUS, "poisson_ratio": POISSON_RATIO}
     wanted = poke_session(session, first.force, first.contact, **material)
     request.getfixturevalue("compressed")
-    found = poke_session(session, first.force, first.contact, **material)
-    assert np.allclose(found.displacement, wanted.displacement, rtol=1e-5)
-    assert np.allclose(found.reaction, wanted.reaction, rtol=1e-5)
+    poked = poke_session(session, first.force, first.contact, **material)
+    assert np.allclose(poked.displacement, wanted.displacement, rtol=1e-5)
+    assert np.allclose(poked.reaction, wanted.reaction, rtol=1e-5)

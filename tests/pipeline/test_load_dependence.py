@@ -32,11 +32,11 @@ def pushed():
     )
     probings = tuple(
         Probing(
-            name=f"{place}{force}", contact=Contact(np.array(PLACES[place]), 0.006, "smooth"),
-            force=force * np.array(INWARD[place]), force_std=np.full(3, 0.01 * force),
+            name=f"{spot}{force}", contact=Contact(np.array(PLACES[spot]), 0.006, "smooth"),
+            force=force * np.array(INWARD[spot]), force_std=np.full(3, 0.01 * force),
             tip_displacement=None, tip_displacement_std=None, displacement=field, images=None,
         )
-        for place in range(2) for force in FORCES
+        for spot in range(2) for force in FORCES
     )  # fmt: skip
     nothing = (None, None, None)
     session = Session("cube", Path("cube"), mesh, held, probings, *nothing, ())
@@ -68,17 +68,19 @@ def fitted(pushed, seed: int, exponent: float, **noise: float):
 @pytest.mark.parametrize("exponent", [0.0, 0.1, -0.1])
 def test_exact_data_give_the_exponent(pushed, exponent):
     minimum = fitted(pushed, 0, exponent, force=0.0, points=1e-6)
-    found = load_dependence(pushed[0], minimum)
-    assert found.exponent.value == pytest.approx(exponent, abs=1e-4)
-    assert found.force == pytest.approx((0.3, 1.2))
+    dependence = load_dependence(pushed[0], minimum)
+    assert dependence.exponent.value == pytest.approx(exponent, abs=1e-4)
+    assert dependence.force == pytest.approx((0.3, 1.2))
     # nu takes up a little of what one modulus leaves over.
-    modulus = minimum.shear_modulus * np.array(found.factor)
+    modulus = minimum.shear_modulus * np.array(dependence.factor)
     assert modulus == pytest.approx(SHEAR * np.array([0.5, 2.0]) ** exponent, rel=2e-3)
 
 
 def test_errors_are_as_large_as_said(pushed):
-    found = [drawn(pushed, seed, 0.05) for seed in range(40)]
-    z = np.array([(each.exponent.value - 0.05) / each.exponent.std for each in found])
+    dependences = [drawn(pushed, seed, 0.05) for seed in range(40)]
+    z = np.array(
+        [(dependence.exponent.value - 0.05) / dependence.exponent.std for dependence in dependences]
+    )
     # Of 40 standard normals the root mean square is 1 +- 0.11.
     assert 0.6 < np.sqrt((z**2).mean()) < 1.35
     assert abs(z.mean()) < 4 / np.sqrt(40)
@@ -90,11 +92,11 @@ def test_a_linear_object_is_seldom_called_stiffening(pushed):
 
 def test_a_modulus_that_rises_by_a_fifth_is_seen(pushed):
     exponent = np.log(1.2) / np.log(4.0)
-    found = [drawn(pushed, 200 + seed, exponent) for seed in range(10)]
-    assert all(map(is_shown, found))
-    assert np.mean([each.factor[1] / each.factor[0] for each in found]) == pytest.approx(
-        1.2, abs=0.02
-    )
+    dependences = [drawn(pushed, 200 + seed, exponent) for seed in range(10)]
+    assert all(map(is_shown, dependences))
+    assert np.mean(
+        [dependence.factor[1] / dependence.factor[0] for dependence in dependences]
+    ) == pytest.approx(1.2, abs=0.02)
 
 
 def test_forces_of_one_size_tell_nothing(pushed):
@@ -104,7 +106,7 @@ def test_forces_of_one_size_tell_nothing(pushed):
     probes = [observations[k] for k in chosen]
     moved = [probe.response.value(NU)[:, :3] @ probe.force / SHEAR for probe in probes]
     probes = [
-        replace(probe, displacement=each.reshape(-1, 3))
-        for probe, each in zip(probes, moved, strict=True)
+        replace(probe, displacement=displacement.reshape(-1, 3))
+        for probe, displacement in zip(probes, moved, strict=True)
     ]
     assert load_dependence(only, joint_minimum(probes, FitSettings())) is None

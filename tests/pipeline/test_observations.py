@@ -43,39 +43,41 @@ def session() -> Session:
     held = np.flatnonzero(mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < -0.4 * RADIUS)
     seen = np.flatnonzero(mesh.vertices[:, 2] > -0.2 * RADIUS)
     points, nothing = mesh.vertices[seen], np.zeros((len(seen), 3))
-    told = closest_points(mesh, points)
+    surface = closest_points(mesh, points)
     probings = tuple(
         Probing(
             name,
-            Contact(closest_points(mesh, RADIUS * np.array([place])).position[0], 0.01, "smooth"),
+            Contact(
+                closest_points(mesh, RADIUS * np.array([direction])).position[0], 0.01, "smooth"
+            ),
             np.array(force),
             np.zeros(3),
             None,
             None,
-            DisplacementField(points, nothing, np.full_like(nothing, 1e-7), seen, told, ""),
+            DisplacementField(points, nothing, np.full_like(nothing, 1e-7), seen, surface, ""),
             None,
         )
-        for name, (place, force) in PRESSED.items()
+        for name, (direction, force) in PRESSED.items()
     )
     still = Session("ball", Path("ball"), mesh, held, probings, None, None, None, (), errors=EXACT)
     fine = graded_session(halved_session(still))
     moved = [
-        (one.response.value(NU) @ np.append(one.force, 1.0) / SHEAR).reshape(-1, 3)
-        for one in session_observations(fine, make_object_model(fine))
+        (observed.response.value(NU) @ np.append(observed.force, 1.0) / SHEAR).reshape(-1, 3)
+        for observed in session_observations(fine, make_object_model(fine))
     ]
     return replace(
         still,
         probings=tuple(
-            replace(one, displacement=replace(one.displacement, displacement=field))
-            for one, field in zip(probings, moved, strict=True)
+            replace(probing, displacement=replace(probing.displacement, displacement=field))
+            for probing, field in zip(probings, moved, strict=True)
         ),
     )
 
 
 def _off(session: Session) -> np.ndarray:
     """Errors of nu and E over their standard errors."""
-    found = fit_session(session).estimate
-    young, ratio = found.young_modulus, found.poisson_ratio
+    estimate = fit_session(session).estimate
+    young, ratio = estimate.young_modulus, estimate.poisson_ratio
     true = 2 * SHEAR * (1 + NU)
     return np.abs([(ratio.value - NU) / ratio.std, (young.value - true) / young.std])
 
@@ -89,16 +91,16 @@ def test_the_steps_say_how_large_the_model_s_error_is(session: Session) -> None:
     stepped = with_mesh_steps(session, plain)
     graded = graded_session(session)
     model = make_object_model(graded)
-    one, other = (
+    first, other = (
         fit(converged_observations(graded, model, coarser=seen)).estimate.young_modulus
         for seen in (plain, stepped)
     )
-    assert other.std > one.std
-    assert abs(other.value - one.value) < 2.0 * other.std
+    assert other.std > first.std
+    assert abs(other.value - first.value) < 2.0 * other.std
 
 
 def test_sharp_edges_are_a_step_of_their_own(session: Session) -> None:
-    assert [len(one.nuisances) for one in _stepped(session)] == [1, 1, 1]
+    assert [len(observed.nuisances) for observed in _stepped(session)] == [1, 1, 1]
     block = _block()
     _, plain = ungraded_observations(block)
     _, refined = ungraded_observations(edge_refined_session(block))
@@ -107,7 +109,7 @@ def test_sharp_edges_are_a_step_of_their_own(session: Session) -> None:
     assert between.parameters != edges.parameters
     rows, load = np.arange(seen.displacement.size), np.append(seen.force, 1.0) / SHEAR
     column = columns_of(edges, plain[0].response.value(NU)[rows], load, NU, rows)[:, 0]
-    given, finer = (one[0].response.value(NU)[rows] @ load for one in (plain, refined))
+    given, finer = (observed[0].response.value(NU)[rows] @ load for observed in (plain, refined))
     np.testing.assert_allclose(column, finer - given, atol=1e-9 * np.abs(given).max())
     assert np.abs(column).max() > 1e-4 * np.abs(given).max()
 
@@ -121,8 +123,8 @@ def _block() -> Session:
     mesh = box((0.03, 0.03, 0.03), 4)
     held = np.flatnonzero(mesh.vertices[mesh.triangles][:, :, 2].max(axis=1) < 1e-9)
     points = np.array([[0.0, 0.01, 0.03], [0.02, 0.0, 0.02], [0.03, 0.03, 0.01]])
-    told = closest_points(mesh, points)
-    field = DisplacementField(points, np.zeros((3, 3)), None, None, told, "")
+    surface = closest_points(mesh, points)
+    field = DisplacementField(points, np.zeros((3, 3)), None, None, surface, "")
     contact = Contact(np.array([0.015, 0.015, 0.03]), 0.008, "smooth")
     push = np.array([0.3, 0.0, -0.5])
     probing = Probing("n", contact, push, np.zeros(3), None, None, field, None)

@@ -65,16 +65,16 @@ def plan(session, variant, shown):
 
 
 def test_a_plan_keeps_what_it_promises(session, plan):
-    fields = [one.displacement for one in with_pictures_measured(session).probings]
-    for one, field in zip(plan.probings, fields, strict=True):
+    fields = [probing.displacement for probing in with_pictures_measured(session).probings]
+    for planned, field in zip(plan.probings, fields, strict=True):
         measured = np.isfinite(field.displacement).all(axis=1)
         # What is asked of a plan.
-        assert one.seen == pytest.approx(measured.sum(), rel=0.25)
+        assert planned.seen == pytest.approx(measured.sum(), rel=0.25)
         sigma = np.median(np.sqrt((field.std[measured] ** 2).mean(axis=1)))
-        assert one.sigma == pytest.approx(sigma, rel=0.25)
+        assert planned.sigma == pytest.approx(sigma, rel=0.25)
         moved = np.median(np.linalg.norm(field.displacement[measured], axis=1))
         # A deep press on a coarse mesh: the facility's body is finer.
-        assert one.displacement == pytest.approx(moved, rel=0.25)
+        assert planned.displacement == pytest.approx(moved, rel=0.25)
 
 
 def test_the_precision_is_that_of_small_pictures(plan):
@@ -97,7 +97,7 @@ def test_what_cannot_be_planned_is_refused(session, tmp_path, variant):
     asked = {**GUESS, "variant": variant}
     with pytest.raises(InputError, match=r"young_modulus is 0 Pa"):
         plan_measurement(session, young_modulus=0.0, poisson_ratio=0.2, variant=variant)
-    blind = tuple(replace(one, images=None) for one in session.probings)
+    blind = tuple(replace(probing, images=None) for probing in session.probings)
     without = replace(session, rig=None, probings=blind)
     with pytest.raises(InputError, match="has no cameras"):
         plan_measurement(without, **asked)
@@ -125,17 +125,17 @@ def _session(depth: float = 1.0) -> Session:
     mesh = box((0.04, 0.04, 0.04), 6)
     held = np.flatnonzero(np.isclose(mesh.vertices[mesh.triangles][:, :, 2], 0.0).all(axis=1))
     points = mesh.vertices[mesh.vertices[:, 2] > 1e-6]
-    place = closest_points(mesh, points)
+    surface = closest_points(mesh, points)
     contact = Contact(np.array([0.02, 0.02, 0.04]), RADIUS, "smooth")
     force, std = np.array([0.0, 0.0, -1.0]), np.full_like(points, 2e-5)
-    field = DisplacementField(points, np.zeros_like(points), std, None, place, "")
+    field = DisplacementField(points, np.zeros_like(points), std, None, surface, "")
     probing = Probing("n", contact, force, np.full(3, 5e-3), None, None, field, None)
     still = Session("cube", Path(), mesh, held, (probing,), None, None, None, ())
     (seen,) = session_observations(still, make_object_model(still))
     moved = (seen.response.value(NU)[:, :4] @ np.append(force, 1.0) / SHEAR).reshape(-1, 3)
     rng = np.random.default_rng(0)
     moved = depth * moved + 2e-5 * rng.normal(size=moved.shape)
-    field = DisplacementField(points, moved, std, None, place, "")
+    field = DisplacementField(points, moved, std, None, surface, "")
     probing = Probing("n", contact, force, np.full(3, 5e-3), None, None, field, None)
     return Session("cube", Path(), mesh, held, (probing,), None, None, None, ())
 
@@ -160,7 +160,7 @@ def test_places_can_be_reached(found: NextProbings) -> None:
 
 def test_each_push_tells_more(found: NextProbings) -> None:
     for name in ("poisson_ratio", "shear_modulus", "young_modulus"):
-        sd = [found.now[name], *(one[name] for one in found.after)]
+        sd = [found.now[name], *(precision[name] for precision in found.after)]
         assert all(b < a for a, b in itertools.pairwise(sd))
     assert len(set(found.chosen)) == 3
     # The first is the best of all alone.
@@ -199,9 +199,9 @@ def test_a_plan_goes_on_from_another(found: NextProbings) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(planning, "reachable_places", lambda *_, **__: (after.point, after.inward))
         anew = plan_next(session, fitted=fitted)
-    for one, other in zip(after.alone, anew.alone, strict=True):
+    for updated, other in zip(after.alone, anew.alone, strict=True):
         # Both have the same forces, contacts and points: what differs is rounding in the models.
-        assert one == pytest.approx(other, rel=1e-6)
+        assert updated == pytest.approx(other, rel=1e-6)
     assert after.chosen == anew.chosen
 
 
@@ -211,14 +211,14 @@ def test_what_is_kept_in_memory_changes_no_bit() -> None:
     (first,) = session.probings
     other = replace(session, probings=(replace(first, force=1.1 * first.force),))
     fit_session(other, cache=memory, material=Material.AUTO)
-    kept = dict(memory)
-    found = fit_session(session, cache=memory, material=Material.AUTO).estimate
+    before = dict(memory)
+    estimate = fit_session(session, cache=memory, material=Material.AUTO).estimate
     # All was there: three meshes' factors, and the elements.
-    assert memory.keys() == kept.keys()
-    assert len(kept) == 4
+    assert memory.keys() == before.keys()
+    assert len(before) == 4
     anew = fit_session(session, material=Material.AUTO).estimate
-    assert found.young_modulus == anew.young_modulus
-    assert found.poisson_ratio == anew.poisson_ratio
+    assert estimate.young_modulus == anew.young_modulus
+    assert estimate.poisson_ratio == anew.poisson_ratio
 
 
 def _two_halves() -> Session:
@@ -258,11 +258,11 @@ def _two_halves() -> Session:
 @pytest.mark.slow
 def test_of_a_body_of_two_materials_pushes_tell_what_others_will_do(monkeypatch):
     monkeypatch.setattr(places, "MOST_PLACES", 6)
-    found = plan_next(_two_halves(), count=2)
-    sd = [found.now[PREDICTION], *(each[PREDICTION] for each in found.after)]
+    next_pushes = plan_next(_two_halves(), count=2)
+    sd = [next_pushes.now[PREDICTION], *(precision[PREDICTION] for precision in next_pushes.after)]
     assert all(after < before for before, after in itertools.pairwise(sd))
-    alone = [each[PREDICTION] for each in found.alone]
-    assert found.chosen[0] == int(np.argmin(alone))
+    alone = [precision[PREDICTION] for precision in next_pushes.alone]
+    assert next_pushes.chosen[0] == int(np.argmin(alone))
 
 
 def test_what_cannot_be_planned() -> None:

@@ -51,24 +51,26 @@ def test_it_does_not_matter_where_between_the_vertices_a_contact_lies():
     moved = []
     for angle in np.linspace(0.0, 2.0, 9):
         turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
-        place = np.array([0.6, 0.0, 0.8])
-        contact = Contact(0.03 * turn @ place, 5.5e-3, "smooth")
-        pressed = poke_session(ball, turn @ -place, contact, shear_modulus=SHEAR, poisson_ratio=NU)
+        direction = np.array([0.6, 0.0, 0.8])
+        contact = Contact(0.03 * turn @ direction, 5.5e-3, "smooth")
+        pressed = poke_session(
+            ball, turn @ -direction, contact, shear_modulus=SHEAR, poisson_ratio=NU
+        )
         moved.append(pressed.displacement @ turn)
     # Quadratics through the vertices alone are up to a tenth off, and by the integral equation at
     # the point two per cent, where it lies close to an edge.
     np.testing.assert_allclose(
         moved, np.tile(moved[0], (9, 1)), atol=1e-3 * np.linalg.norm(moved[0])
     )
-    assert moved[0] @ -place > 0.0
+    assert moved[0] @ -direction > 0.0
 
 
 def test_the_plane_half_way_down_carries_the_force(session):
     """Equilibrium of the upper half: the stress over the plane adds up to the force."""
     side = (np.arange(8) + 0.5) * 0.04 / 8
     x, y = (grid.ravel() for grid in np.meshgrid(side, side))
-    found = poked(session, PRESS, interior=np.column_stack([x, y, np.full(64, 0.02)]))
-    stress = found.interior.stress
+    state = poked(session, PRESS, interior=np.column_stack([x, y, np.full(64, 0.02)]))
+    stress = state.interior.stress
     np.testing.assert_allclose(stress, np.swapaxes(stress, 1, 2), atol=1e-9)
     # The midpoint rule of 8 by 8 points leaves 0.12 % of the force; four times that.
     np.testing.assert_allclose(0.04**2 * stress[:, :, 2].mean(axis=0), PRESS, atol=0.005)
@@ -116,15 +118,15 @@ def test_a_tool_touches_what_follows_from_force_and_constants(session):
     probing = replace(session.probings[0], contact=Contact.under(ball, TOP))
     tooled = replace(session, probings=(probing,))
     constants = {"shear_modulus": SHEAR, "poisson_ratio": NU}
-    found = poke_session(tooled, PRESS, tool_contact(tooled, TOP, None), **constants)
+    state = poke_session(tooled, PRESS, tool_contact(tooled, TOP, None), **constants)
     circle = contact_of(ball, LocalSurface(np.array([0.0, 0.0, 1.0]), 0.0), 1.0, **constants)
-    assert found.contact.radius == pytest.approx(circle.radius, rel=1e-6)
+    assert state.contact.radius == pytest.approx(circle.radius, rel=1e-6)
     # Half the radius of the ball, as where a search begins, is another depth.
     known = tool_contact(tooled, TOP, circle.radius)
     assert known.tool is None
     known = replace(known, traction=circle.traction)
     alike = poke_session(tooled, PRESS, known, **constants)
-    np.testing.assert_allclose(found.displacement, alike.displacement, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(state.displacement, alike.displacement, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -133,19 +135,21 @@ def test_the_outward_traction_of_a_tool_lifts_the_surface_under_it(session):
     Hertz's circle Q is 5 / (4 pi a) of force times the lever."""
     radius, outward = 6e-3, 0.2
     known = tool_contact(session, TOP, radius)
-    plain, pulled = (replace(known, traction=traction_of("hertz", each)) for each in (0.0, outward))
+    plain, pulled = (
+        replace(known, traction=traction_of("hertz", share)) for share in (0.0, outward)
+    )
     options = {"shear_modulus": SHEAR, "poisson_ratio": NU, "interior": CENTRE}
     without = poke_session(session, PRESS, plain, **options)
-    found = poke_session(session, PRESS, pulled, **options)
-    lifted = found.displacement[2] - without.displacement[2]
+    state = poke_session(session, PRESS, pulled, **options)
+    lifted = state.displacement[2] - without.displacement[2]
     expected = (1 - 2 * NU) / (2 * SHEAR) * 5 / (4 * np.pi * radius) * outward
     # The edges of the triangles are as long as the radius, the cube is seven radii wide.
     assert lifted == pytest.approx(expected, rel=0.06)
-    np.testing.assert_allclose(found.reaction, without.reaction, atol=1e-9)
+    np.testing.assert_allclose(state.reaction, without.reaction, atol=1e-9)
     # Three radii below it is felt by its square: no resultant.
-    deep = np.abs(found.interior.displacement - without.interior.displacement).max()
+    deep = np.abs(state.interior.displacement - without.interior.displacement).max()
     assert 0.0 < deep < 0.15 * lifted
-    stress = np.abs(found.interior.stress - without.interior.stress).max()
+    stress = np.abs(state.interior.stress - without.interior.stress).max()
     assert 0.0 < stress < 0.15 * np.abs(without.interior.stress).max()
 
 

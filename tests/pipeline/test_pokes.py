@@ -57,9 +57,9 @@ def poked():
 
 def test_pokes_are_pooled_into_points(poked):
     assert without_pictures(poked)
-    (one,) = pooled(poked).probings
+    (together,) = pooled(poked).probings
     np.testing.assert_allclose(
-        one.displacement.displacement, [each.tip_displacement for each in poked.probings]
+        together.displacement.displacement, [probing.tip_displacement for probing in poked.probings]
     )
     assert not without_pictures(pooled(poked))
 
@@ -72,7 +72,7 @@ def test_constants_are_those_of_the_block(poked):
     low, high = estimate.young_modulus.ci95
     assert low < 2.0 * SHEAR * (1.0 + RATIO) < high
     # A gain of 1 % is 1 % of E, and not 1.5, which it would be under a circle of fixed size.
-    gain = next(each for each in estimate.budget if each.source == "gain of the force sensor")
+    gain = next(entry for entry in estimate.budget if entry.source == "gain of the force sensor")
     assert gain.young_modulus == pytest.approx(0.01, rel=0.1)
     (made,) = result.predict(poked)
     np.testing.assert_allclose(made.predicted[:, 2], made.measured[:, 2], rtol=0.01)
@@ -80,11 +80,12 @@ def test_constants_are_those_of_the_block(poked):
 
 def test_a_gain_that_is_off_moves_the_modulus_as_much(poked):
     louder = replace(
-        poked, probings=tuple(replace(one, force=1.2 * one.force) for one in poked.probings)
+        poked,
+        probings=tuple(replace(probing, force=1.2 * probing.force) for probing in poked.probings),
     )
     plain, loud = (
-        fit_session(each, settings=SETTINGS).estimate.shear_modulus.value
-        for each in (poked, louder)
+        fit_session(given, settings=SETTINGS).estimate.shear_modulus.value
+        for given in (poked, louder)
     )
     assert loud / plain == pytest.approx(1.2, rel=1e-3)
 
@@ -98,8 +99,8 @@ def test_finite_strain_is_refused(poked):
 def test_a_block_of_two_halves_is_not_the_same_everywhere(poked):
     """Forces on one half are half as large again."""
     harder = tuple(
-        replace(one, force=(1.5 if one.contact.point[0] > 0.02 else 1.0) * one.force)
-        for one in poked.probings
+        replace(probing, force=(1.5 if probing.contact.point[0] > 0.02 else 1.0) * probing.force)
+        for probing in poked.probings
     )
     result = fit_session(
         replace(poked, probings=harder), settings=SETTINGS, material=Material.FIELD

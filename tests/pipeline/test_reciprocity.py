@@ -60,8 +60,8 @@ def block():
     factor = factorise(free_part(stiffness, held), solid.nodes[~held])
     at_vertices = surface_values(solid, mesh.vertices)
 
-    def motion(place, push):
-        load = pressure_load(solid, place, RADIUS, smooth_pressure)[:, None] * unit(push)
+    def motion(point, push):
+        load = pressure_load(solid, point, RADIUS, smooth_pressure)[:, None] * unit(push)
         moved = np.zeros((len(solid.nodes), 3))
         moved[~held] = factor.solve(load[~held].reshape(-1, 1)).reshape(-1, 3)
         return at_vertices @ moved
@@ -84,15 +84,15 @@ def make_session(
     on_support = np.unique(mesh.triangles[held])
     probings = []
     for k, moved in enumerate(motions[: len(PLACES)]):
-        place, size = 1e-3 * np.array(PLACES[k]), 1.0 if sizes is None else sizes[k]
+        point, size = 1e-3 * np.array(PLACES[k]), 1.0 if sizes is None else sizes[k]
         sigma = noise * size * float(np.sqrt((moved**2).mean()))
         seen = size * moved + sigma * rng.normal(size=moved.shape)
-        seen[np.linalg.norm(mesh.vertices - place, axis=1) < RADIUS] = np.nan
+        seen[np.linalg.norm(mesh.vertices - point, axis=1) < RADIUS] = np.nan
         seen[on_support] = np.nan
         force = size * (unit(PUSHES[k]) + force_std * rng.normal(size=3))
         probings.append(
             Probing(
-                f"n{k}", Contact(place, RADIUS, "smooth"), force, np.full(3, size * force_std),
+                f"n{k}", Contact(point, RADIUS, "smooth"), force, np.full(3, size * force_std),
                 None, None, field_of(mesh, seen, np.full_like(seen, sigma)), None,
             )
         )  # fmt: skip
@@ -104,8 +104,8 @@ def make_session(
 def field_of(mesh, displacement, std) -> DisplacementField:
     corner = np.zeros(len(mesh.vertices), dtype=np.int64)
     corner[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
-    triangle, place = np.divmod(corner, 3)
-    surface = SurfacePoints(triangle, np.eye(3)[place], mesh.vertices, np.zeros(len(corner)))
+    triangle, corner_index = np.divmod(corner, 3)
+    surface = SurfacePoints(triangle, np.eye(3)[corner_index], mesh.vertices, np.zeros(len(corner)))
     return DisplacementField(mesh.vertices, displacement, std, None, surface, "truth")
 
 
@@ -116,42 +116,42 @@ def with_gain(session: Session, index: int, gain: float) -> Session:
 
 
 def test_an_uneven_fibrous_body_passes(block):
-    found = reciprocity(make_session(*block, np.random.default_rng(1)))
-    assert found.holds
-    assert found.is_tested
-    assert found.odd == ()
+    tested = reciprocity(make_session(*block, np.random.default_rng(1)))
+    assert tested.holds
+    assert tested.is_tested
+    assert tested.odd == ()
     # Every two of the eight pushes that do not overlap see each other.
-    assert len(found.pairs) == 28
-    assert found.degrees == 28
-    assert "agree by reciprocity" in found.text
+    assert len(tested.pairs) == 28
+    assert tested.degrees == 28
+    assert "agree by reciprocity" in tested.text
 
 
 def test_works_agree_within_the_elements(block):
     # Without noise, what is left is the error of the elements and of averages over coarse vertices.
-    found = reciprocity(make_session(*block, np.random.default_rng(0), noise=1e-6, force_std=0.0))
-    works = np.array([[pair.work, pair.other] for pair in found.pairs])
+    tested = reciprocity(make_session(*block, np.random.default_rng(0), noise=1e-6, force_std=0.0))
+    works = np.array([[pair.work, pair.other] for pair in tested.pairs])
     off = works[:, 0] - works[:, 1]
     assert np.sqrt((off**2).mean()) < 0.01 * np.sqrt((works**2).mean())
 
 
 def test_a_force_told_too_large_is_named(block):
     session = with_gain(make_session(*block, np.random.default_rng(2)), 3, 1.05)
-    found = reciprocity(session)
-    assert not found.holds
-    assert found.odd == ("n3",)
-    assert not found.grows
-    push = next(each for each in found.pushes if each.name == "n3")
+    tested = reciprocity(session)
+    assert not tested.holds
+    assert tested.odd == ("n3",)
+    assert not tested.grows
+    push = next(excess for excess in tested.pushes if excess.name == "n3")
     assert abs(push.excess - 0.05) < 3.0 * np.hypot(push.std, 0.005)
-    assert "It is n3" in found.text
-    assert "more force is stated" in found.text
+    assert "It is n3" in tested.text
+    assert "more force is stated" in tested.text
 
 
 def test_a_tool_that_pressed_beside_its_place_does_not_pass(block):
     mesh, motions = block
     session = make_session(mesh, [motions[-1], *motions[1:]], np.random.default_rng(3), noise=0.003)
-    found = reciprocity(session)
-    assert not found.holds
-    farthest = max(found.pairs, key=lambda pair: abs(pair.sigmas))
+    tested = reciprocity(session)
+    assert not tested.holds
+    farthest = max(tested.pairs, key=lambda pair: abs(pair.sigmas))
     assert "n0" in (farthest.first, farthest.second)
 
 
@@ -170,12 +170,12 @@ def test_a_material_that_stiffens_does_not_pass(block):
     session = make_session(
         mesh, sizes[:, None, None] ** -0.2 * motions[:8], np.random.default_rng(4), sizes=sizes
     )
-    found = reciprocity(session)
-    assert not found.holds
-    assert found.grows
-    assert found.odd == ()
-    assert found.growth.excess > 0.0
-    assert "stiffens" in found.text
+    tested = reciprocity(session)
+    assert not tested.holds
+    assert tested.grows
+    assert tested.odd == ()
+    assert tested.growth.excess > 0.0
+    assert "stiffens" in tested.text
 
 
 def test_one_gain_of_all_forces_is_not_seen(block):
@@ -193,18 +193,18 @@ def test_pushes_that_do_not_see_each_other_cannot_be_tested(block):
         seen = np.where((away < 0.012)[:, None], probing.displacement.displacement, np.nan)
         field = field_of(session.mesh, seen, probing.displacement.std)
         near.append(replace(probing, displacement=field))
-    found = reciprocity(replace(session, probings=tuple(near)))
-    assert not found.is_tested
-    assert found.holds
-    assert "cannot be tested" in found.text
-    assert "see each other's contacts" in found.text
+    tested = reciprocity(replace(session, probings=tuple(near)))
+    assert not tested.is_tested
+    assert tested.holds
+    assert "cannot be tested" in tested.text
+    assert "see each other's contacts" in tested.text
 
 
 def test_one_push_cannot_be_tested(block):
     session = make_session(*block, np.random.default_rng(1))
-    found = reciprocity(replace(session, probings=session.probings[:1]))
-    assert not found.is_tested
-    assert "two pushes" in found.text
+    tested = reciprocity(replace(session, probings=session.probings[:1]))
+    assert not tested.is_tested
+    assert "two pushes" in tested.text
 
 
 def moved_along(session: Session, rng) -> Session:
@@ -224,19 +224,19 @@ def test_a_support_that_moves_freely_costs_degrees_of_freedom(block):
     session = moved_along(make_session(*block, rng), rng)
     assert not reciprocity(session).holds
     free = replace(session, supports=(Support(session.held_triangles, FREE),))
-    found = reciprocity(free)
+    tested = reciprocity(free)
     # Antisymmetric in what eight wrenches of six components leave: two dimensions.
-    assert found.is_tested
-    assert found.degrees == 1
-    assert found.holds
+    assert tested.is_tested
+    assert tested.degrees == 1
+    assert tested.holds
 
 
 def test_weight_that_only_loads_pull_up_costs_a_degree_for_every_push_but_one(block):
     session = make_session(*block, np.random.default_rng(1))
     heavy = replace(session, density=1000.0, gravity=np.array([0.0, 0.0, -9.81]))
-    found = reciprocity(heavy)
-    assert found.degrees == 28 - 7
-    assert found.holds
+    tested = reciprocity(heavy)
+    assert tested.degrees == 28 - 7
+    assert tested.holds
 
 
 def test_pushes_at_one_place_without_noise_put_no_work_in_and_none_out(block):
@@ -253,11 +253,11 @@ def test_pushes_at_one_place_without_noise_put_no_work_in_and_none_out(block):
         for times in (0.4, 0.8, 1.6)
     ]
     session = make_session(mesh, motions, np.random.default_rng(6))
-    found = reciprocity(replace(session, probings=tuple(probings)))
-    assert found.holds
-    assert len(found.passive) == 3
+    tested = reciprocity(replace(session, probings=tuple(probings)))
+    assert tested.holds
+    assert len(tested.passive) == 3
     # To rounding, far below the finest work that is told.
-    assert abs(found.own_work) < 1e-6 < found.own_work_std
+    assert abs(tested.own_work) < 1e-6 < tested.own_work_std
 
 
 def test_tips_show_that_pushes_put_work_in(block):
@@ -273,11 +273,11 @@ def test_tips_show_that_pushes_put_work_in(block):
         )
         for probing, moved in zip(session.probings, motions, strict=False)
     ]
-    found = reciprocity(replace(session, probings=tuple(touched)))
-    assert len(found.passive) == 8
-    assert 0.0 < found.own_work < 1.0
-    assert found.own_work > 5.0 * found.own_work_std
-    backward = [replace(each, tip_displacement=-each.tip_displacement) for each in touched]
+    tested = reciprocity(replace(session, probings=tuple(touched)))
+    assert len(tested.passive) == 8
+    assert 0.0 < tested.own_work < 1.0
+    assert tested.own_work > 5.0 * tested.own_work_std
+    backward = [replace(probing, tip_displacement=-probing.tip_displacement) for probing in touched]
     assert reciprocity(replace(session, probings=tuple(backward))).own_work < 0.0
 
 

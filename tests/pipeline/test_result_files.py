@@ -43,14 +43,14 @@ def seen(cube):
 
 def figures_of(name, given, vertices, seen):
     """Figures of a step with a sample's flow."""
-    found = MeasuredMotion(name, None, True, given.picture, given.flow, vertices, None)
-    return motion_figures(found, given.rig, seen)
+    measured = MeasuredMotion(name, None, True, given.picture, given.flow, vertices, None)
+    return motion_figures(measured, given.rig, seen)
 
 
 def lost_figures(name, given, seen):
     """Figures of a step whose pictures could not be read."""
-    found = MeasuredMotion(name, None, True, given.picture, None, None, "torn picture")
-    return motion_figures(found, given.rig, seen)
+    measured = MeasuredMotion(name, None, True, given.picture, None, None, "torn picture")
+    return motion_figures(measured, given.rig, seen)
 
 
 def shown(table, width=100):
@@ -150,7 +150,7 @@ def vtp_arrays(path):
     """Arrays of a .vtp by name, decoded after VTK's description and not with Palpate's reader."""
     root = ElementTree.parse(path).getroot()
     assert root.get("compressor") == "vtkZLibDataCompressor"
-    found = {}
+    arrays = {}
     for node in root.iter("DataArray"):
         kind = {"Float32": "<f4", "Float64": "<f8", "Int32": "<i4", "Int64": "<i8"}[
             node.get("type")
@@ -159,25 +159,25 @@ def vtp_arrays(path):
         length = -(-8 * int(3 + blocks) // 3) * 4
         raw = zlib.decompress(base64.b64decode(node.text[length:])) if blocks else b""
         values = np.frombuffer(raw, kind)
-        found[node.get("Name")] = values.reshape(-1, int(node.get("NumberOfComponents"))).squeeze()
-    return root.find("PolyData/Piece"), found
+        arrays[node.get("Name")] = values.reshape(-1, int(node.get("NumberOfComponents"))).squeeze()
+    return root.find("PolyData/Piece"), arrays
 
 
 def test_the_vtp_has_a_vector_at_every_point(cube, tmp_path):
     write_flow_vtp(tmp_path / "a.vtp", cube.flow, camera())
-    piece, found = vtp_arrays(tmp_path / "a.vtp")
+    piece, arrays = vtp_arrays(tmp_path / "a.vtp")
     count, valid = len(cube.flow.point), is_valid(cube.flow)
     assert int(piece.get("NumberOfPoints")) == int(piece.get("NumberOfVerts")) == count
     assert piece.find("PointData").get("Vectors") == "displacement"
-    np.testing.assert_array_equal(found["Points"], cube.flow.point)
-    np.testing.assert_array_equal(found["connectivity"], np.arange(count))
-    np.testing.assert_array_equal(found["offsets"], np.arange(1, count + 1))
+    np.testing.assert_array_equal(arrays["Points"], cube.flow.point)
+    np.testing.assert_array_equal(arrays["connectivity"], np.arange(count))
+    np.testing.assert_array_equal(arrays["offsets"], np.arange(1, count + 1))
     # Single precision. The camera looks along z.
-    np.testing.assert_allclose(found["displacement"][valid], motion(cube.flow.point[valid]), 1e-7)
-    np.testing.assert_allclose(found["sigma_depth"][valid], SIGMA[2], 1e-6)
-    np.testing.assert_array_equal(found["outcome"], cube.flow.outcome)
-    assert (found["displacement"][~valid] == 0.0).all()
-    assert np.isnan(found["magnitude"][~valid]).all()
+    np.testing.assert_allclose(arrays["displacement"][valid], motion(cube.flow.point[valid]), 1e-7)
+    np.testing.assert_allclose(arrays["sigma_depth"][valid], SIGMA[2], 1e-6)
+    np.testing.assert_array_equal(arrays["outcome"], cube.flow.outcome)
+    assert (arrays["displacement"][~valid] == 0.0).all()
+    assert np.isnan(arrays["magnitude"][~valid]).all()
 
 
 def test_a_flow_without_points_can_be_written(cube, tmp_path):
@@ -191,9 +191,9 @@ def test_a_flow_without_points_can_be_written(cube, tmp_path):
     }
     empty = type(cube.flow)(**away, **rest)
     write_flow_vtp(tmp_path / "a.vtp", empty, camera())
-    piece, found = vtp_arrays(tmp_path / "a.vtp")
+    piece, arrays = vtp_arrays(tmp_path / "a.vtp")
     assert piece.get("NumberOfPoints") == "0"
-    assert all(values.size == 0 for values in found.values())
+    assert all(values.size == 0 for values in arrays.values())
 
 
 # Figures

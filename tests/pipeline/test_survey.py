@@ -211,28 +211,28 @@ def painted(seen, *, contrast=30.0, wave=WAVE):
     across = wave * FOCAL / ABOVE * np.stack([np.cos(angle), np.sin(angle)])
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
     cameras = camera(), camera("c1", x=0.7 * SIDE)
-    for one, middle in zip(cameras, (0.5 * SIDE, 0.7 * SIDE), strict=True):
+    for device, middle in zip(cameras, (0.5 * SIDE, 0.7 * SIDE), strict=True):
         x = middle + ABOVE * (column - 79.5) / FOCAL
         y = 0.5 * SIDE - ABOVE * (row - 59.5) / FOCAL
         waves = np.cos(x[..., None] * across[0] + y[..., None] * across[1] + phase)
         on = (x > 0) & (x < SIDE) & (y > 0) & (y < SIDE)
         grey = np.where(on, 120 + contrast * np.sqrt(2 / 60) * waves.sum(axis=2), 10.0)
         grey = np.clip(grey + rng.normal(0.0, 1.0, SHAPE), 0, 255).astype(np.uint8)
-        cv2.imwrite(str(seen.path.parent / f"s0_{one.name}.png"), grey)
+        cv2.imwrite(str(seen.path.parent / f"s0_{device.name}.png"), grey)
     write_rig(seen.path.parent / "rig.toml", Rig(cameras, 0, "rig.toml"))
     return replace(seen, mesh=box(size=(SIDE,) * 3, cells=8))
 
 
 def test_what_the_first_pictures_promise_is_told(seen):
-    found, _ = survey_view(painted(seen))
+    survey, _ = survey_view(painted(seen))
     # The reference camera sees all of the face, the other one 0.92 of it; rims cut windows.
-    assert 0.6 * found.points < found.followed <= found.points
-    assert found.points == pytest.approx((SIDE * FOCAL / ABOVE / JointFlow().step) ** 2, rel=0.15)
-    assert 20 <= found.vertices <= 81
-    assert found.windows >= 12
+    assert 0.6 * survey.points < survey.followed <= survey.points
+    assert survey.points == pytest.approx((SIDE * FOCAL / ABOVE / JointFlow().step) ** 2, rel=0.15)
+    assert 20 <= survey.vertices <= 81
+    assert survey.windows >= 12
     # Of waves in all directions the slope along one of two axes has half of the square; differences
     # of pixels see 4 % less of it.
-    assert found.structure == pytest.approx([np.sqrt(2) / WAVE] * 2, rel=0.15)
+    assert survey.structure == pytest.approx([np.sqrt(2) / WAVE] * 2, rel=0.15)
 
 
 @pytest.mark.parametrize(
@@ -255,16 +255,16 @@ def test_without_pictures_there_is_no_view(seen, cube_probing):
 
 
 def test_pictures_that_show_nothing_in_common_are_no_reason_to_stop(seen):
-    found, notes = survey_view(seen)
-    assert found.points > 0
+    survey, notes = survey_view(seen)
+    assert survey.points > 0
     assert notes[0].startswith("The rig cannot be checked against the pictures: ")
 
 
 @pytest.fixture(scope="module")
 def pair(shared_data: Path) -> Rig:
     """Two cameras with lenses."""
-    found = read_rig(shared_data / "halfball_images" / "rig.toml")
-    return Rig(found.cameras[:2], 0, found.source)
+    real_rig = read_rig(shared_data / "halfball_images" / "rig.toml")
+    return Rig(real_rig.cameras[:2], 0, real_rig.source)
 
 
 def _file(path: Path, rig: Rig, states: list[np.ndarray], *, version: str) -> Path:
@@ -302,9 +302,9 @@ def test_real_matches_of_multidic(shared_data: Path) -> None:
         measured = read_measured(
             "multidic", path, frame=frame, triangulate=lambda t: triangulated(t, swapped)
         )
-        found = np.linalg.norm(np.nanmean(measured.displacement, axis=0))
+        shift = np.linalg.norm(np.nanmean(measured.displacement, axis=0))
         # Three digits are given.
-        assert found == pytest.approx(length, abs=6e-7)
+        assert shift == pytest.approx(length, abs=6e-7)
 
 
 def test_other_cameras_are_refused(pair: Rig) -> None:

@@ -254,9 +254,9 @@ def end_friction():
 
 @pytest.mark.parametrize(("poisson_ratio", "factor"), [(0.3, 1.097), (0.49, 1.376)])
 def test_sticking_ends_of_the_page(end_friction, poisson_ratio, factor):
-    found = end_friction.apparent_modulus(5 / 3, 1.0, poisson_ratio, cells=16)
+    modulus = end_friction.apparent_modulus(5 / 3, 1.0, poisson_ratio, cells=16)
     # The page rounds to 0.0005; 16 cells against 48 differ by less than 0.001.
-    assert found == pytest.approx(factor, abs=0.0015)
+    assert modulus == pytest.approx(factor, abs=0.0015)
 
 
 def test_without_sideways_strain_sticking_ends_change_nothing(end_friction):

@@ -34,17 +34,17 @@ def test_profiles_of_the_session_format(profile, expected):
     assert patch.contact.pressure(np.array([0.0]))[0] == 1
     assert not patch.contact.pressure(np.array([1.0, 1.5])).any()
     position = TOP + np.array([[0.06, 0.08, 0.0]])
-    found = patch.density(np.array([0]), np.full((1, 3), 1 / 3), position)
-    np.testing.assert_allclose(found, expected)
+    density = patch.density(np.array([0]), np.full((1, 3), 1 / 3), position)
+    np.testing.assert_allclose(density, expected)
 
 
 def test_a_new_tool_shape_presses_as_registered(monkeypatch):
     monkeypatch.setitem(PRESSURES, "cone", lambda s: np.clip(1.0 - s, 0.0, None))
     patch = patch_on_cube(profile="cone")
     position = TOP + np.array([[0.06, 0.08, 0.0], [0.0, 0.0, 0.0], [0.0, 0.3, 0.0]])
-    found = patch.density(np.zeros(3, dtype=int), np.full((3, 3), 1 / 3), position)
+    density = patch.density(np.zeros(3, dtype=int), np.full((3, 3), 1 / 3), position)
     # Half a radius away, in the middle, and beyond the rim.
-    np.testing.assert_allclose(found, [0.5, 1.0, 0.0])
+    np.testing.assert_allclose(density, [0.5, 1.0, 0.0])
 
 
 def test_patch_holds_every_triangle_within_its_radius_on_the_top():
@@ -58,8 +58,8 @@ def test_patch_holds_every_triangle_within_its_radius_on_the_top():
     assert np.linalg.norm(corners - TOP, axis=2).min(axis=1).max() < 0.2 + 0.18
     assert triangle_areas(mesh)[patch.triangles].sum() > np.pi * 0.2**2
     np.testing.assert_allclose(patch.barycentric.sum(), 1)
-    place = patch.barycentric @ mesh.vertices[mesh.triangles[patch.triangle]]
-    np.testing.assert_allclose(place, TOP, atol=1e-12)
+    position = patch.barycentric @ mesh.vertices[mesh.triangles[patch.triangle]]
+    np.testing.assert_allclose(position, TOP, atol=1e-12)
 
 
 def test_vertex_profile_is_the_hat_of_the_nearest_vertex():
@@ -70,8 +70,8 @@ def test_vertex_profile_is_the_hat_of_the_nearest_vertex():
     assert patch.triangles.size == (mesh.triangles == patch.vertex).any(axis=1).sum()
     corner = mesh.triangles[patch.triangles[:1]]
     barycentric = np.where(corner == patch.vertex, 0.6, 0.2)
-    found = patch.density(patch.triangles[:1], barycentric, mesh.vertices[corner[:, 0]])
-    np.testing.assert_allclose(found, 0.6)
+    density = patch.density(patch.triangles[:1], barycentric, mesh.vertices[corner[:, 0]])
+    np.testing.assert_allclose(density, 0.6)
 
 
 def test_the_other_side_of_a_thin_plate_is_not_pressed():
@@ -101,8 +101,8 @@ def test_beside_an_edge_a_patch_does_not_reach_round_it_nor_do_finite_elements()
     angle = np.arccos(1 / 3)
     area = np.pi - angle + np.sin(angle) * np.cos(angle)
     centroid = 2 / 3 * np.sin(angle) ** 3 / area * 0.003
-    found = share @ solid.nodes
-    np.testing.assert_allclose(found, [0.039 - centroid, 0.0185, 0.04], atol=2e-5)
+    centre = share @ solid.nodes
+    np.testing.assert_allclose(centre, [0.039 - centroid, 0.0185, 0.04], atol=2e-5)
 
 
 def test_a_neighbouring_part_within_reach_is_not_pressed():

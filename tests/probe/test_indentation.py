@@ -17,9 +17,9 @@ CONSTANTS = {"shear_modulus": 8e3, "poisson_ratio": 0.4}
 def test_it_is_the_approach_of_a_light_touch(tool, curvature):
     """A sphere is a paraboloid there."""
     local = LocalSurface(np.array([0.0, 0.0, 1.0]), curvature)
-    found = tool_contact(tool, local, 1e-8, **CONSTANTS)
+    contact = tool_contact(tool, local, 1e-8, **CONSTANTS)
     assert dent(on_flat(tool, curvature), 1e-8, **CONSTANTS) == pytest.approx(
-        found.approach, rel=2e-3
+        contact.approach, rel=2e-3
     )
 
 

@@ -46,11 +46,11 @@ def _radius(tool: Tool, curvature: float, force: float, nu: float = NU) -> float
     return _found(tool, force, curvature, nu).radius
 
 
-def _share(found: ToolContact, s: np.ndarray) -> np.ndarray:
+def _share(contact: ToolContact, s: np.ndarray) -> np.ndarray:
     """Pressure at distances over the radius, over its mean over the circle."""
     angle = np.arcsin(SPREAD)
-    mean = 2.0 * np.trapezoid(found.traction.pressure * SPREAD, angle)
-    return found.traction.mean(s) / mean
+    mean = 2.0 * np.trapezoid(contact.traction.pressure * SPREAD, angle)
+    return contact.traction.mean(s) / mean
 
 
 @pytest.mark.parametrize("curvature", [0.0, 20.0, -50.0])
@@ -73,8 +73,8 @@ def test_a_deep_touch_is_sneddon_s(share: float) -> None:
         return r**2 * (r / np.sqrt(ball**2 - r**2) + curvature * r)
 
     force = 2.0 * LEVEL_REDUCED * quad(integrand, 0.0, 0.5 * np.pi)[0]
-    found = _radius(Sphere(ball), curvature, force, LEVEL_NU)
-    assert found == pytest.approx(circle, rel=1e-6)
+    radius = _radius(Sphere(ball), curvature, force, LEVEL_NU)
+    assert radius == pytest.approx(circle, rel=1e-6)
 
 
 def test_a_surface_that_sticks_is_touched_less() -> None:
@@ -89,14 +89,14 @@ def test_a_surface_that_sticks_is_touched_less() -> None:
 
 def test_a_flat_face_touches_all_of_itself_or_less() -> None:
     tool, s = FlatFace(4e-3), np.array([0.05, 0.5, 0.9])
-    found = _found(tool, 0.5)
-    assert found.radius == 4e-3
-    np.testing.assert_allclose(_share(found, s), 0.5 / np.sqrt(1.0 - s**2), rtol=1e-4)
-    assert found.approach == pytest.approx(0.5 / (2.0 * REDUCED * 4e-3), rel=1e-6)
+    contact = _found(tool, 0.5)
+    assert contact.radius == 4e-3
+    np.testing.assert_allclose(_share(contact, s), 0.5 / np.sqrt(1.0 - s**2), rtol=1e-4)
+    assert contact.approach == pytest.approx(0.5 / (2.0 * REDUCED * 4e-3), rel=1e-6)
     # A ball of 20 mm under a light push is not flattened as far.
-    found = _found(tool, 1e-3, curvature=50.0)
-    assert found.radius == pytest.approx((0.75 * 1e-3 / (REDUCED * 50.0)) ** (1 / 3), rel=1e-6)
-    np.testing.assert_allclose(_share(found, s), 1.5 * np.sqrt(1.0 - s**2), rtol=1e-4)
+    contact = _found(tool, 1e-3, curvature=50.0)
+    assert contact.radius == pytest.approx((0.75 * 1e-3 / (REDUCED * 50.0)) ** (1 / 3), rel=1e-6)
+    np.testing.assert_allclose(_share(contact, s), 1.5 * np.sqrt(1.0 - s**2), rtol=1e-4)
 
 
 def test_a_flat_face_just_touched_whole_has_the_pressure_of_a_ball_and_of_a_punch() -> None:
@@ -104,9 +104,9 @@ def test_a_flat_face_just_touched_whole_has_the_pressure_of_a_ball_and_of_a_punc
     the contact grows without a jump."""
     tool, curvature, s = FlatFace(4e-3), 50.0, np.array([0.05, 0.5, 0.9])
     whole = 4.0 / 3.0 * REDUCED * curvature * tool.radius**3
-    found = _found(tool, 1.5 * whole, curvature)
+    contact = _found(tool, 1.5 * whole, curvature)
     wanted = (1.5 * np.sqrt(1.0 - s**2) + 0.5 * 0.5 / np.sqrt(1.0 - s**2)) / 1.5
-    np.testing.assert_allclose(_share(found, s), wanted, rtol=1e-4)
+    np.testing.assert_allclose(_share(contact, s), wanted, rtol=1e-4)
     before, after = (_found(tool, share * whole, curvature) for share in (0.9999, 1.0001))
     np.testing.assert_allclose(_share(before, s), _share(after, s), rtol=2e-3)
     assert after.approach == pytest.approx(before.approach, rel=1e-3)
@@ -117,13 +117,13 @@ def test_a_cone_is_sneddon_s(degrees: float) -> None:
     """F = 2 E* tan(angle) d^2 / pi at the depth d, of a circle of 2 d tan(angle) / pi."""
     angle, depth = np.radians(degrees), 1e-4
     force = 2.0 / np.pi * LEVEL_REDUCED * np.tan(angle) * depth**2
-    found = _found(Cone(0.05, angle), force, nu=LEVEL_NU)
-    assert found.radius == pytest.approx(2.0 / np.pi * depth * np.tan(angle), rel=1e-6)
-    assert found.approach == pytest.approx(depth, rel=1e-6)
+    contact = _found(Cone(0.05, angle), force, nu=LEVEL_NU)
+    assert contact.radius == pytest.approx(2.0 / np.pi * depth * np.tan(angle), rel=1e-6)
+    assert contact.approach == pytest.approx(depth, rel=1e-6)
     # Beyond the first of the distances at which it is tabulated.
     s = np.array([0.05, 0.3, 0.9])
     # Over its mean: the integral of 2 s arcosh(1 / s) is 1.
-    np.testing.assert_allclose(_share(found, s), np.arccosh(1.0 / s), rtol=2e-3)
+    np.testing.assert_allclose(_share(contact, s), np.arccosh(1.0 / s), rtol=2e-3)
 
 
 @pytest.mark.parametrize("degrees", [35.0, 60.0, 75.0])
@@ -131,11 +131,11 @@ def test_a_cone_is_sneddon_s(degrees: float) -> None:
 def test_four_times_the_force_doubles_the_circle_of_a_cone(degrees: float, nu: float) -> None:
     """Nothing but the circle has a length, however the surface is drawn outward."""
     cone = Cone(0.05, np.radians(degrees))
-    one, four = (_found(cone, force, nu=nu).radius for force in (0.1, 0.4))
-    assert four == pytest.approx(2.0 * one, rel=1e-5)
+    single, four = (_found(cone, force, nu=nu).radius for force in (0.1, 0.4))
+    assert four == pytest.approx(2.0 * single, rel=1e-5)
     # What the tool draws outward raises the surface towards it: fewer points are touched.
     level = np.sqrt(0.2 * np.tan(cone.angle) / np.pi / (2.0 * SHEAR / (1.0 - nu)))
-    assert one < level
+    assert single < level
 
 
 def test_its_pressure_gives_the_depth() -> None:
@@ -155,9 +155,9 @@ def test_the_pressure_of_a_sphere_is_sneddon_s() -> None:
     ball, share = 4e-3, 0.7
     log = np.log((1 + share) / (1 - share))
     force = LEVEL_REDUCED * ball**2 * (0.5 * (share**2 + 1.0) * log - share)
-    found = _found(Sphere(ball), force, nu=LEVEL_NU)
-    assert found.radius == pytest.approx(share * ball, rel=1e-5)
-    assert found.approach == pytest.approx(share * ball * np.arctanh(share), rel=1e-5)
+    contact = _found(Sphere(ball), force, nu=LEVEL_NU)
+    assert contact.radius == pytest.approx(share * ball, rel=1e-5)
+    assert contact.approach == pytest.approx(share * ball * np.arctanh(share), rel=1e-5)
 
     def pressure(s: float) -> float:
         def steeper(w: float) -> float:
@@ -167,8 +167,8 @@ def test_the_pressure_of_a_sphere_is_sneddon_s() -> None:
         return float(quad(steeper, 0.0, np.arccosh(1.0 / s))[0])
 
     s = np.array([0.1, 0.5, 0.8, 0.95])
-    wanted = np.array([pressure(each) for each in s])
-    here = found.traction.mean(s)
+    wanted = np.array([pressure(distance) for distance in s])
+    here = contact.traction.mean(s)
     np.testing.assert_allclose(here / here[0], wanted / wanted[0], rtol=1e-4)
     hertz = PRESSURES["hertz"](s)
     assert abs(hertz[2] / hertz[0] / (wanted[2] / wanted[0]) - 1.0) > 0.05
@@ -226,8 +226,8 @@ def _displacements(centre: np.ndarray, radius: float, nu: float) -> np.ndarray:
 
     potentials, normal = disc_potentials(profile), np.array([0.0, 0.0, 1.0])
     matrix = np.empty((len(centre), 3, len(centre), 3))
-    for k, one in enumerate(centre):
-        disc = PressureDisc(one, radius, profile)
+    for k, middle in enumerate(centre):
+        disc = PressureDisc(middle, radius, profile)
         constant, slope = disc_displacement(disc, potentials, normal, centre)
         matrix[:, :, k] = constant + nu * slope
     return matrix
@@ -289,11 +289,13 @@ def test_a_sphere_that_slides_is_met_by_a_surface_that_it_raises(nu: float) -> N
     else:
         pytest.fail("the cells in contact do not settle")
     force = float(pressure.sum())
-    found = tool_contact(
+    contact = tool_contact(
         Sphere(1.0), LocalSurface(UP, 0.0), force, shear_modulus=1.0, poisson_ratio=nu
     )
     wanted = np.sqrt(2.5 * (pressure @ distance**2) / force)
-    assert found.radius * np.sqrt(2.5) * found.traction.spread == pytest.approx(wanted, rel=1e-3)
+    assert contact.radius * np.sqrt(2.5) * contact.traction.spread == pytest.approx(
+        wanted, rel=1e-3
+    )
 
 
 def test_normal_and_curvature_are_those_of_the_surface() -> None:
@@ -352,16 +354,16 @@ def _contact(
     return tool_contact(tool, local, force, shear_modulus=SHEAR, poisson_ratio=NU)
 
 
-def _grid(found: ToolContact) -> GridTraction:
-    assert isinstance(found.traction, GridTraction)
-    return found.traction
+def _grid(contact: ToolContact) -> GridTraction:
+    assert isinstance(contact.traction, GridTraction)
+    return contact.traction
 
 
-def _moments(found: ToolContact) -> tuple[float, float]:
+def _moments(contact: ToolContact) -> tuple[float, float]:
     """Root mean square extent of the pressure along its axes [m], and its sum is one."""
-    traction = _grid(found)
+    traction = _grid(contact)
     cells = len(traction.grid)
-    x = traction.half_side * found.radius * ((2.0 * np.arange(cells) + 1.0) / cells - 1.0)
+    x = traction.half_side * contact.radius * ((2.0 * np.arange(cells) + 1.0) / cells - 1.0)
     weight = traction.grid / traction.grid.sum()
     return (
         float(np.sqrt(weight.sum(axis=1) @ x**2)),
@@ -373,30 +375,30 @@ def _moments(found: ToolContact) -> tuple[float, float]:
 @pytest.mark.parametrize("friction", [SLIDES, STICKS])
 def test_a_ball_touches_the_circle_of_a_sphere(curvature: float, friction: str) -> None:
     """Its 8,000 vertices lie on a sphere; at this depth the sphere is a paraboloid to 1 %."""
-    found = _contact(ball_mesh(np.full(3, 6e-3)), 0.05, curvature=curvature, friction=friction)
+    contact = _contact(ball_mesh(np.full(3, 6e-3)), 0.05, curvature=curvature, friction=friction)
     sphere = _found(Sphere(6e-3, friction=friction), 0.05, curvature)
-    assert found.radius == pytest.approx(sphere.radius, rel=0.01)
+    assert contact.radius == pytest.approx(sphere.radius, rel=0.01)
     # Hertz: the mean square of each coordinate is a fifth of the circle's.
-    assert _moments(found) == pytest.approx([sphere.radius / np.sqrt(5.0)] * 2, rel=0.01)
-    mean = found.traction.mean(np.linspace(0.0, 0.9, 10) * found.radius / _reach(found))
+    assert _moments(contact) == pytest.approx([sphere.radius / np.sqrt(5.0)] * 2, rel=0.01)
+    mean = contact.traction.mean(np.linspace(0.0, 0.9, 10) * contact.radius / _reach(contact))
     hertz = np.sqrt(1.0 - np.linspace(0.0, 0.9, 10) ** 2)
     # The facets are seen in the pressure: a fortieth of its mean at the centre.
     np.testing.assert_allclose(mean / mean.mean(), hertz / hertz.mean(), atol=0.04)
 
 
-def _reach(found: ToolContact) -> float:
-    return found.radius * found.traction.reach
+def _reach(contact: ToolContact) -> float:
+    return contact.radius * contact.traction.reach
 
 
 def test_a_square_face_is_as_stiff_as_king_found() -> None:
     """Force over approach is 2 beta E* sqrt(A / pi), with beta 1.012 (King, Int. J. Solids Struct.
     23 (1987) 1657); cells at the singular rim are worth half a per cent."""
     half = 4e-3
-    found = _contact(_bar(np.array([half, half, 0.02])), 0.3)
-    beta = 0.3 / found.approach / (2.0 * MODULUS * np.sqrt(4.0 * half**2 / np.pi))
+    contact = _contact(_bar(np.array([half, half, 0.02])), 0.3)
+    beta = 0.3 / contact.approach / (2.0 * MODULUS * np.sqrt(4.0 * half**2 / np.pi))
     assert beta == pytest.approx(1.012, rel=0.005)
-    assert _reach(found) == pytest.approx(np.sqrt(2.0) * half, rel=0.05)
-    assert not found.traction.outward.any()
+    assert _reach(contact) == pytest.approx(np.sqrt(2.0) * half, rel=0.05)
+    assert not contact.traction.outward.any()
 
 
 def test_an_ellipsoid_touches_the_ellipse_of_hertz() -> None:
@@ -416,8 +418,8 @@ def _axis_ratio(curvature_ratio: float) -> float:
         ratio = np.sqrt(low * high)
         square = 1.0 - ratio**-2  # of the eccentricity
         e, k = ellipe(square), ellipk(square)
-        found = (ratio**2 * e - k) / (k - e)
-        low, high = (ratio, high) if found < curvature_ratio else (low, ratio)
+        value = (ratio**2 * e - k) / (k - e)
+        low, high = (ratio, high) if value < curvature_ratio else (low, ratio)
     return float(ratio)
 
 
@@ -437,13 +439,17 @@ def test_pressure_turns_with_the_tool() -> None:
 
 @pytest.mark.parametrize("friction", [SLIDES, STICKS])
 def test_the_outward_traction_of_a_ball_is_that_of_a_sphere(friction: str) -> None:
-    found = _contact(ball_mesh(np.full(3, 6e-3)), 0.05, friction=friction)
+    contact = _contact(ball_mesh(np.full(3, 6e-3)), 0.05, friction=friction)
     sphere = _found(Sphere(6e-3, friction=friction), 0.05)
     # By the facets, and by the cells at the rim.
-    lever = found.traction.lever * found.traction.reach * found.radius
+    lever = contact.traction.lever * contact.traction.reach * contact.radius
     assert lever == pytest.approx(sphere.traction.lever * sphere.radius, rel=0.02)
     at = np.searchsorted(SPREAD, 0.6)
-    slope = found.traction.outward[at] / found.traction.pressure[at] / (SPREAD[at] * _reach(found))
+    slope = (
+        contact.traction.outward[at]
+        / contact.traction.pressure[at]
+        / (SPREAD[at] * _reach(contact))
+    )
     wanted = sphere.traction.outward[at] / sphere.traction.pressure[at]
     assert slope == pytest.approx(wanted / (SPREAD[at] * sphere.radius), rel=0.05)
 
@@ -453,13 +459,13 @@ def test_a_narrow_ring_s_mean_circle_and_stiffness(inner: float) -> None:
     """Axisymmetric rings of uniform pressure between the rims, by the same displacement of discs:
     the force of a ring that dents by one, and the mean square of its distance."""
     tool = Ring(4e-3, inner * 4e-3)
-    found = _found(tool, 0.3)
+    contact = _found(tool, 0.3)
     stiffness, square = _ring_by_annuli(inner, 60)
-    assert 0.3 / found.approach == pytest.approx(REDUCED * tool.radius * stiffness, rel=0.01)
-    assert found.radius == pytest.approx(tool.radius * np.sqrt(2.5 * square), rel=0.01)
+    assert 0.3 / contact.approach == pytest.approx(REDUCED * tool.radius * stiffness, rel=0.01)
+    assert contact.radius == pytest.approx(tool.radius * np.sqrt(2.5 * square), rel=0.01)
     # No pressure within, and none outward.
-    assert not found.traction.at(np.zeros((1, 3))).any()
-    assert not found.traction.outward.any()
+    assert not contact.traction.at(np.zeros((1, 3))).any()
+    assert not contact.traction.outward.any()
 
 
 def _ring_by_annuli(inner: float, count: int) -> tuple[float, float]:
@@ -476,7 +482,7 @@ def _ring_by_annuli(inner: float, count: int) -> tuple[float, float]:
         outside = 4.0 / np.pi * r * (ellipe(far) - (1.0 - far) * ellipk(np.minimum(far, 1 - 1e-15)))
         return np.where(s < 1.0, inside, outside)
 
-    at = np.stack([disc(middle, each) for each in edge], axis=1)
+    at = np.stack([disc(middle, edge_radius) for edge_radius in edge], axis=1)
     pressure = np.linalg.solve(np.diff(at, axis=1), np.ones(count))
     force = pressure * np.pi * np.diff(edge**2)
     return float(force.sum()), float(force @ middle**2 / force.sum())
@@ -488,8 +494,8 @@ def test_a_punch_that_leans_by_a_degree_is_not_buried() -> None:
     bar = _bar(np.array([3e-3, 3e-3, 0.02]))
     lean = Rotation.from_rotvec([0.0, np.radians(1.0), 0.0])
     tool = mesh_tool(bar, lean.as_matrix())
-    found = _found(tool, 0.5)
-    traction = _grid(found)
+    contact = _found(tool, 0.5)
+    traction = _grid(contact)
     weight = traction.grid / traction.grid.sum()
     cells = np.arange(len(weight)) - 0.5 * (len(weight) - 1)
     middle = (weight.sum(axis=1) @ cells * traction.axes[0]) + (

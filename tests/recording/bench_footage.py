@@ -101,9 +101,9 @@ def write_video(path: Path, seed: int, offset: float, *, peaks: np.ndarray = PEA
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), RATE, SIZE)
     fine = np.arange(-1.0, duration(len(peaks)) + 1.0, 0.02)
     size = push(fine, peaks)
-    for own in frame_times(offset, count=len(peaks)):
-        share = float(push(np.array([own + offset]), peaks)[0]) / PEAKS.max()
-        grey = picture(plain, share, tool_column(own + offset, fine, size), rng)
+    for frame_time in frame_times(offset, count=len(peaks)):
+        share = float(push(np.array([frame_time + offset]), peaks)[0]) / PEAKS.max()
+        grey = picture(plain, share, tool_column(frame_time + offset, fine, size), rng)
         writer.write(cv2.merge([grey] * 3))
     writer.release()
 

@@ -40,16 +40,16 @@ def _ramps(
 ) -> list[Signal]:
     """What a camera makes of each press; `late`: in seconds, of the motion behind the force."""
     rng = np.random.default_rng(seed)
-    own = np.arange(0.0, duration(len(touches)) - _OFFSET, _FRAME)
-    found = []
+    frame_time = np.arange(0.0, duration(len(touches)) - _OFFSET, _FRAME)
+    ramps = []
     for touch in touches:
-        near = (own + _OFFSET > touch.begin - 1.0) & (own + _OFFSET < touch.end + 1.0)
-        size = push(own[near] + _OFFSET - late)
+        near = (frame_time + _OFFSET > touch.begin - 1.0) & (frame_time + _OFFSET < touch.end + 1.0)
+        size = push(frame_time[near] + _OFFSET - late)
         share = _law(size, touch.peak) + noise * rng.standard_normal(near.sum())
         # In the air the tool is seen to move, and nothing is felt.
-        air = np.clip((touch.begin - own[near] - _OFFSET) / 0.5, 0.0, 1.0)
-        found.append((own[near], share - 2.0 * air))
-    return found
+        air = np.clip((touch.begin - frame_time[near] - _OFFSET) / 0.5, 0.0, 1.0)
+        ramps.append((frame_time[near], share - 2.0 * air))
+    return ramps
 
 
 def _thinned(ramps: list[Signal], step: int) -> list[Signal]:
@@ -108,9 +108,9 @@ def test_hysteresis_is_the_force_in_less_out_at_the_same_picture() -> None:
     pairs = list(zip(touches, ramps, strict=True))
     compared = np.linspace(0.3, 0.9, 7)
     truth = float((0.4 * compared * (1.0 - compared)).mean())
-    told = [hysteresis_of(turned, touch, ramp, _OFFSET) for touch, ramp in pairs]
+    claimed = [hysteresis_of(turned, touch, ramp, _OFFSET) for touch, ramp in pairs]
     # Ramps of 20 frames, the force on straight lines between 20 ms.
-    assert np.mean(told) == pytest.approx(truth, rel=0.05)
+    assert np.mean(claimed) == pytest.approx(truth, rel=0.05)
     none = [hysteresis_of(force, touch, ramp, _OFFSET) for touch, ramp in pairs]
     assert np.abs(none).max() < 0.05 * truth
     # A clock that is found takes nearly all of it for an offset, by half of it of a ramp's time:
@@ -123,18 +123,18 @@ def test_hysteresis_is_the_force_in_less_out_at_the_same_picture() -> None:
 
 def test_the_first_guess_is_good_to_a_fraction_of_a_second() -> None:
     force, _ = _force()
-    own = np.arange(0.0, duration(10) - 3.0, _FRAME)
+    frame_time = np.arange(0.0, duration(10) - 3.0, _FRAME)
     # The tool is seen from half a second before it touches until half a second after.
     lags = np.linspace(-0.5, 0.5, 21)
-    near = np.array([np.interp(own + 2.0 + lag, *force) for lag in lags]).max(axis=0)
-    offset, correlation, _ = coarse_offset(force, _motion(1.0 + 5.0 * (near > 0.01), own))
+    near = np.array([np.interp(frame_time + 2.0 + lag, *force) for lag in lags]).max(axis=0)
+    offset, correlation, _ = coarse_offset(force, _motion(1.0 + 5.0 * (near > 0.01), frame_time))
     # Anywhere within that half second it goes as well with the force; 1.2 s are enough.
     assert abs(offset - 2.0) < 0.6
     assert correlation > 0.4
 
 
 def test_presses_in_a_row_leave_a_doubt_and_uneven_ones_none() -> None:
-    own = np.arange(0.0, 60.0, _FRAME)
+    frame_time = np.arange(0.0, 60.0, _FRAME)
 
     def size(time: np.ndarray, starts: np.ndarray) -> np.ndarray:
         return np.sum([np.clip(1.0 - np.abs(time - s - 1.0), 0.0, 1.0) for s in starts], axis=0)
@@ -146,18 +146,18 @@ def test_presses_in_a_row_leave_a_doubt_and_uneven_ones_none() -> None:
         touches = [Touch(s, s + 2.0, 1.0, True) for s in starts if s < 58.0]
         ramps = []
         for touch in touches:
-            mine = own[(own > touch.begin - 1.0) & (own < touch.end + 1.0)]
+            mine = frame_time[(frame_time > touch.begin - 1.0) & (frame_time < touch.end + 1.0)]
             ramps.append((mine, size(mine, starts)))
-        found = fine_clock((0.0, 0.9, 2.6), force, touches, ramps, "c0")
-        assert (found.rival_offset is not None) == doubtful
-        assert len(found.notes) == doubtful
+        clock = fine_clock((0.0, 0.9, 2.6), force, touches, ramps, "c0")
+        assert (clock.rival_offset is not None) == doubtful
+        assert len(clock.notes) == doubtful
 
 
 def test_pictures_of_something_else_are_refused() -> None:
     force, touches = _force()
-    own = np.arange(0.0, duration(10), _FRAME)
-    noise = np.random.default_rng(3).standard_normal(len(own))
+    frame_time = np.arange(0.0, duration(10), _FRAME)
+    noise = np.random.default_rng(3).standard_normal(len(frame_time))
     with pytest.raises(RecordError, match="do not change with the force"):
-        coarse_offset(force, _motion(1.0 + noise, own))
+        coarse_offset(force, _motion(1.0 + noise, frame_time))
     with pytest.raises(RecordError, match="none of the 10 presses"):
         fine_clock((0.0, 0.9, None), force, touches, [None] * 10, "c0")

@@ -81,10 +81,10 @@ def test_a_push_from_above_is_not_found_on_a_side(model: ContactModel) -> None:
     across, up = rng.uniform(-0.022, 0.022, 300), rng.uniform(-0.02, -0.001, 300)
     points = np.column_stack([np.full(300, 0.025), across, up])
     moved, force, radius = _pressing(contact, points)
-    found, _, _ = find_contact(model, points, moved, force, radius=radius, profile="hertz")
-    assert found[2] == pytest.approx(0.0, abs=1e-12)
+    point, _, _ = find_contact(model, points, moved, force, radius=radius, profile="hertz")
+    assert point[2] == pytest.approx(0.0, abs=1e-12)
     # Points of one side tell less of how far from it the push is: half the touched radius.
-    assert np.linalg.norm(found - contact) < 0.5 * radius
+    assert np.linalg.norm(point - contact) < 0.5 * radius
 
 
 @pytest.mark.slow

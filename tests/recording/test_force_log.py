@@ -29,11 +29,11 @@ def _wrench(types, time, force):
     return types.types["geometry_msgs/msg/WrenchStamped"](header, wrench)
 
 
-def _point(types, place):
+def _point(types, position):
     """A point without a stamp."""
     turn = types.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
     return types.types["geometry_msgs/msg/Pose"](
-        types.types["geometry_msgs/msg/Point"](*place), turn
+        types.types["geometry_msgs/msg/Point"](*position), turn
     )
 
 
@@ -41,11 +41,11 @@ def written(folder: Path, kind: str, *, topics: tuple[str, ...] = ("/gauge",)) -
     """A bag with forces on each topic, and the poses of the tip."""
     types = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE)
     if kind == "bag":
-        place = folder / "run.bag"
-        writer, pack = Writer1(place), types.serialize_ros1
+        file = folder / "run.bag"
+        writer, pack = Writer1(file), types.serialize_ros1
     else:
         plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-        place = folder / "run" / f"run.{kind}"
+        file = folder / "run" / f"run.{kind}"
         writer, pack = (
             Writer2(folder / "run", version=9, storage_plugin=plugin),
             types.serialize_cdr,
@@ -59,7 +59,7 @@ def written(folder: Path, kind: str, *, topics: tuple[str, ...] = ("/gauge",)) -
             for connection in forces:
                 bag.write(connection, when, pack(_wrench(types, time, force), names[0]))
             bag.write(poses, when, pack(_point(types, place_), names[1]))
-    return place
+    return file
 
 
 def gauge_of(file: Path, *, topic: str | None = None) -> Gauge:

@@ -128,9 +128,9 @@ def test_a_link_to_a_folder_makes_no_more_files(
     (tmp_path / "pictures" / "n01_c0.png").symlink_to("rest_c0.png")
     (tmp_path / "here").symlink_to(".")
     (tmp_path / "earlier").symlink_to("pictures")
-    found = survey_folder(tmp_path)
-    assert found.meshes == ("mesh.ply",)
-    assert found.pictures == ("pictures/n01_c0.png", "pictures/rest_c0.png")
+    survey = survey_folder(tmp_path)
+    assert survey.meshes == ("mesh.ply",)
+    assert survey.pictures == ("pictures/n01_c0.png", "pictures/rest_c0.png")
     assert main(["init", str(tmp_path), "--template", "lab"]) == 0
     assert "1 mesh, 2 pictures" in capsys.readouterr().out
 

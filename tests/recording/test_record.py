@@ -47,17 +47,17 @@ def test_radius_of_the_search(recording: Path, tmp_path: Path, contact: str, rad
 
 
 def test_presses_clocks_and_forces(recording: Path) -> None:
-    found = find_presses(read_recording(recording))
-    assert [press.name for press in found.presses] == ["n01", "n02", "n03"]
-    for clock, offset in zip(found.clocks, OFFSETS, strict=True):
+    recorded = find_presses(read_recording(recording))
+    assert [press.name for press in recorded.presses] == ["n01", "n02", "n03"]
+    for clock, offset in zip(recorded.clocks, OFFSETS, strict=True):
         # Asked for are 5 ms of frames that are 50 ms apart; the presses' scatter says 0.2 ms.
         assert abs(clock.offset - offset) < 1e-3
-    for press, peak, begin in zip(found.presses, PEAKS, begins(3), strict=True):
+    for press, peak, begin in zip(recorded.presses, PEAKS, begins(3), strict=True):
         assert np.linalg.norm(press.reading.force - peak * DIRECTION) < 0.005 * peak
         assert begin + 0.9 * RAMP < press.reading.begin < press.reading.end < begin + RAMP + HOLD
         # The tool is in the picture from half a second before it touches.
         assert press.rest[1] < begin - 0.45
-    assert [motion.dropped for motion in found.motions] == [0, 0]
+    assert [motion.dropped for motion in recorded.motions] == [0, 0]
 
 
 def test_the_command_writes_a_session(
@@ -112,11 +112,11 @@ def test_frames_that_were_dropped_are_counted_and_bridged(recording: Path, tmp_p
     text = (folder / "recording.toml").read_text()
     given = 'pictures = "c0/*.png"\ntimes = "c0.csv"'
     (folder / "recording.toml").write_text(text.replace('video = "c0.avi"', given))
-    found = find_presses(read_recording(folder))
-    assert found.motions[0].dropped == 7
-    assert abs(found.clocks[0].offset - OFFSETS[0]) < 1e-3
-    assert len(found.presses) == 3
-    assert any("7 frames were dropped" in note for note in found.notes)
+    recorded = find_presses(read_recording(folder))
+    assert recorded.motions[0].dropped == 7
+    assert abs(recorded.clocks[0].offset - OFFSETS[0]) < 1e-3
+    assert len(recorded.presses) == 3
+    assert any("7 frames were dropped" in note for note in recorded.notes)
 
 
 @pytest.mark.slow
@@ -141,10 +141,10 @@ def test_a_log_of_poses_gives_contact_and_travel(recording: Path, tmp_path: Path
         np.testing.assert_allclose(probing.contact.point[:2], [0.002, 0.0], atol=1e-9)
     text = (folder / "p.csv").read_text().splitlines()
     (folder / "p.csv").write_text("\n".join(text[:700]))
-    found = find_presses(given := read_recording(folder))
+    recorded = find_presses(given := read_recording(folder))
     (tmp_path / "t").mkdir()
     with pytest.raises(RecordError, match="same clock"):
-        write_recorded(tmp_path / "t", given, found)
+        write_recorded(tmp_path / "t", given, recorded)
 
 
 @pytest.mark.slow

@@ -171,8 +171,8 @@ def test_a_log_means_the_same_in_any_unit_frame_and_sign(tmp_path: Path) -> None
     )
     np.testing.assert_allclose(second.force, first.force, atol=1e-5)
     np.testing.assert_allclose(second.time, first.time, atol=1e-9)
-    one = write_log(tmp_path / "one.csv", time, -force[:, 2:], "time [s],load [N]")
-    third = read_force_log(_gauge(one, axes=np.array([[0.0, 0.0, -1.0]])))
+    log = write_log(tmp_path / "one.csv", time, -force[:, 2:], "time [s],load [N]")
+    third = read_force_log(_gauge(log, axes=np.array([[0.0, 0.0, -1.0]])))
     np.testing.assert_allclose(third.force, force * [0.0, 0.0, 1.0], atol=1e-6)
 
 
@@ -190,8 +190,8 @@ def test_the_end_of_the_range_is_noticed(tmp_path: Path) -> None:
     # A coarse gauge repeats its readings everywhere: that is no end of a range.
     coarse = write_log(tmp_path / "c.csv", time, np.round(force, 1), "t,fx [N],fy [N],fz [N]")
     assert not read_force_log(_gauge(coarse)).saturated.any()
-    told = replace(_gauge(whole), limit=2.0)
-    assert read_force_log(told).saturated.any()
+    limited = replace(_gauge(whole), limit=2.0)
+    assert read_force_log(limited).saturated.any()
 
 
 @pytest.mark.parametrize(

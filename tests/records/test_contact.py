@@ -17,9 +17,9 @@ from palpate.records.contact import PRESSURES, contact_profiles, grid_traction
 def test_resultant_of_each_pressure(profile, resultant):
     """The integral of p(s) s ds from 0 to 1, by hand."""
     pressure = PRESSURES[profile]
-    found, _ = quad(lambda s: s * pressure(np.array([s]))[0], 0.0, 1.0)
+    integral, _ = quad(lambda s: s * pressure(np.array([s]))[0], 0.0, 1.0)
     # quad's own error; Hertz's square root at the rim costs most of it.
-    assert found == pytest.approx(resultant, rel=1e-8)
+    assert integral == pytest.approx(resultant, rel=1e-8)
     assert pressure(np.zeros(1)) == 1.0
     assert not pressure(np.array([1.0, 1.5, 40.0])).any()
     inside = pressure(np.linspace(0.0, 0.99, 30))

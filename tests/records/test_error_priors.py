@@ -17,12 +17,12 @@ def _read(tmp_path, text, metres=1e-3):
 
 def test_what_is_not_said_has_its_default(tmp_path):
     assert _read(tmp_path, "") == ErrorPriors()
-    found = _read(tmp_path, '[errors]\nforce_gain = "0.3 %"\ncontact_point = 0\n')
-    assert found == ErrorPriors(force_gain=0.003, contact_point=0.0)
+    priors = _read(tmp_path, '[errors]\nforce_gain = "0.3 %"\ncontact_point = 0\n')
+    assert priors == ErrorPriors(force_gain=0.003, contact_point=0.0)
 
 
 def test_units(tmp_path):
-    found = _read(
+    priors = _read(
         tmp_path,
         "[errors]\nforce_gain = 0.02\ncontact_point = 1.5\ncontact_radius = 0.2\n"
         'length_scale = "0.1 %"\nforce_direction = "1 deg"\nforce = 0.005\n'
@@ -36,7 +36,7 @@ def test_units(tmp_path):
         support_compliance=2e-8,
     )  # fmt: skip
     for name in ErrorPriors.__slots__:
-        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-12)
+        assert getattr(priors, name) == pytest.approx(getattr(expected, name), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -83,10 +83,10 @@ contact = { point = [0, 0, 1] }
 
 
 def test_a_contact_may_be_known_otherwise_than_the_others(tmp_path):
-    found = _read(tmp_path, '[errors]\ncontact_point = "1 mm"\n' + _PROBES % 0.25)
+    priors = _read(tmp_path, '[errors]\ncontact_point = "1 mm"\n' + _PROBES % 0.25)
     # In the session's unit, here mm.
-    assert found.contact_std("a") == pytest.approx(0.25e-3, rel=1e-12)
-    assert found.contact_std("b") == 1e-3
+    assert priors.contact_std("a") == pytest.approx(0.25e-3, rel=1e-12)
+    assert priors.contact_std("b") == 1e-3
     assert _read(tmp_path, _PROBES % '"0.3 cm"').contact_std("a") == pytest.approx(3e-3, rel=1e-12)
     with pytest.raises(RecordError, match=r"'a' contact point_std: is 'x'; must be a number"):
         _read(tmp_path, _PROBES % '"x"')
@@ -105,10 +105,10 @@ force_sensor = "weights"
 
 
 def test_every_force_sensor_may_have_a_gain_of_its_own(tmp_path):
-    found = _read(tmp_path, '[errors]\nforce_gain = { weights = "0.05 %" }\n' + _SENSORS)
-    assert found.gain_std("weights") == pytest.approx(5e-4, rel=1e-12)
+    priors = _read(tmp_path, '[errors]\nforce_gain = { weights = "0.05 %" }\n' + _SENSORS)
+    assert priors.gain_std("weights") == pytest.approx(5e-4, rel=1e-12)
     # The gauge has the default.
-    assert found.gain_std("gauge") == ErrorPriors().force_gain
+    assert priors.gain_std("gauge") == ErrorPriors().force_gain
     assert _read(tmp_path, "[errors]\nforce_gain = 0.02\n" + _SENSORS).gain_std("gauge") == 0.02
 
 
@@ -132,5 +132,5 @@ def test_a_calibrated_rig_replaces_the_default_of_lengths_only(tmp_path):
     file = tmp_path / "session.toml"
     for text, expected in (("", 0.0), ("[errors]\nlength_scale = 0.001\n", 1e-3)):
         file.write_text(text)
-        found = read_error_priors(read_toml(file), metres_per_unit=1.0, calibrated=True)
-        assert found == ErrorPriors(length_scale=expected)
+        priors = read_error_priors(read_toml(file), metres_per_unit=1.0, calibrated=True)
+        assert priors == ErrorPriors(length_scale=expected)

@@ -57,9 +57,9 @@ def test_a_surface_ends_where_the_modulus_is_not_known():
 def test_faces_enclose_the_elements_on_the_near_side(axis, share):
     modulus = map_of(ball, 0.01)
     corner = modulus.nodes[modulus.tetrahedra]
-    kept = corner.mean(axis=1)[:, axis] <= share * float(modulus.nodes[:, axis].max())
-    surface, element = modulus.boundary(kept)
-    assert kept[element].all()
-    volume = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1]))[kept].sum() / 6.0
+    near_side = corner.mean(axis=1)[:, axis] <= share * float(modulus.nodes[:, axis].max())
+    surface, element = modulus.boundary(near_side)
+    assert near_side[element].all()
+    volume = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1]))[near_side].sum() / 6.0
     # Gauss: outward faces give the volume.
     assert enclosed_volume(surface) == pytest.approx(volume, rel=1e-9)

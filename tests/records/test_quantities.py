@@ -183,7 +183,7 @@ def test_a_region_has_a_row():
 
 
 @pytest.mark.parametrize(
-    ("found", "shown", "text"),
+    ("stiffening", "shown", "text"),
     [
         # 1 + 2 (C2 / C1) 0.2^2.
         (
@@ -199,5 +199,5 @@ def test_a_region_has_a_row():
         ),
     ],
 )
-def test_stiffening_is_told_in_words(found, shown, text):
-    assert text in stiffening_text(found, shown=shown)
+def test_stiffening_is_told_in_words(stiffening, shown, text):
+    assert text in stiffening_text(stiffening, shown=shown)

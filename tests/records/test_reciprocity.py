@@ -60,6 +60,6 @@ def test_sigmas_are_of_the_difference():
     ],
 )
 def test_its_sentence(change, phrase):
-    found = replace(FOUND, **change)
-    assert phrase in found.text
-    assert found.is_unexplained == ("No single force" in found.text)
+    tested = replace(FOUND, **change)
+    assert phrase in tested.text
+    assert tested.is_unexplained == ("No single force" in tested.text)

@@ -213,17 +213,17 @@ def test_every_status_has_its_cure():
 def test_constants_and_estimates_are_checked():
     with pytest.raises(InputError, match="ci95 is"):
         Constant(1.0, 0.1, (2.0, 1.0))
-    one = Constant(1.0, 0.1, (0.8, 1.2))
+    constant = Constant(1.0, 0.1, (0.8, 1.2))
     with pytest.raises(InputError, match="identifiable has the keys"):
-        Estimate(Status.OK, one, one, one, {}, (), {}, "reduced", {}, ())
+        Estimate(Status.OK, constant, constant, constant, {}, (), {}, "reduced", {}, ())
 
 
 def test_an_average_is_a_sum_over_points_or_the_point_itself():
     average = _average(((0.5, 0.5, 0.0), (0.0, 0.0, 0.0)))
     assert average.has_weights.tolist() == [True, False]
     alone, around = [[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]
-    found = average.averaging_matrix() @ np.kron(np.vstack([alone, around]), np.eye(3))
-    np.testing.assert_array_equal(found, np.kron([[0.75, 0.25], [0.0, 1.0]], np.eye(3)))
+    averaged = average.averaging_matrix() @ np.kron(np.vstack([alone, around]), np.eye(3))
+    np.testing.assert_array_equal(averaged, np.kron([[0.75, 0.25], [0.0, 1.0]], np.eye(3)))
 
 
 def test_weights_of_points_that_are_not_there_are_refused():
@@ -247,10 +247,10 @@ def test_a_field_has_an_average_for_each_of_its_points():
 
 def test_an_average_is_pickled_whole():
     average = _average()
-    found = pickle.loads(pickle.dumps(average))
-    np.testing.assert_array_equal(found.points, average.points)
+    copied = pickle.loads(pickle.dumps(average))
+    np.testing.assert_array_equal(copied.points, average.points)
     for part in ("data", "indices", "indptr"):
-        np.testing.assert_array_equal(getattr(found.weights, part), getattr(average.weights, part))
+        np.testing.assert_array_equal(getattr(copied.weights, part), getattr(average.weights, part))
 
 
 def test_some_of_the_averages_and_averages_among_others():

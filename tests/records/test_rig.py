@@ -111,11 +111,11 @@ def test_a_rig_keeps_its_cameras():
 def test_what_was_written_is_read(tmp_path: Path) -> None:
     assert covariance_file(tmp_path / "rig.toml") is None
     write_rig_covariance(tmp_path, KNOWN, np.array([0.1, 0.1]))
-    for place in (tmp_path, tmp_path / "rig.toml"):
-        found = read_rig_covariance(covariance_file(place))
-        assert found.names == KNOWN.names
-        np.testing.assert_array_equal(found.value, KNOWN.value)
-        np.testing.assert_array_equal(found.covariance, KNOWN.covariance)
+    for path in (tmp_path, tmp_path / "rig.toml"):
+        covariance = read_rig_covariance(covariance_file(path))
+        assert covariance.names == KNOWN.names
+        np.testing.assert_array_equal(covariance.value, KNOWN.value)
+        np.testing.assert_array_equal(covariance.covariance, KNOWN.covariance)
 
 
 def test_what_is_no_covariance_is_refused(tmp_path: Path) -> None:

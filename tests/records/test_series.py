@@ -45,12 +45,12 @@ def test_frames_hold_the_probing_s_own_points_in_any_order(cube_session):
     (cube_session / "frame.csv").write_text("\n".join([lines[0], *lines[:0:-1][:-9]]) + "\n")
     rows = [f"{t},0,0,{-0.6 * min(t, 2)},{'frame.csv' if t in (3, 5) else ''}" for t in range(8)]
     series = with_series(cube_session, "t,fx,fy,fz,displacement", rows)
-    own = read_session(cube_session).probings[0].displacement
+    measured = read_session(cube_session).probings[0].displacement
     np.testing.assert_array_equal(series.instant, [3, 5])
-    assert series.frames.shape == (2, *own.points.shape)
+    assert series.frames.shape == (2, *measured.points.shape)
     # The first nine rows are not in the frame.
     assert np.isnan(series.frames[0, :9]).all()
-    np.testing.assert_allclose(series.frames[0, 9:], own.displacement[9:])
+    np.testing.assert_allclose(series.frames[0, 9:], measured.displacement[9:])
 
 
 RAMP = np.minimum(np.arange(40) / 10.0, 1.0)

@@ -15,43 +15,43 @@ ROUNDING = 1e-13
 
 
 def test_a_step_of_the_force_gives_the_compliance_itself():
-    found = TWO.response(TIME, np.ones_like(TIME))
-    np.testing.assert_allclose(found, TWO.at(TIME), rtol=ROUNDING)
+    response = TWO.response(TIME, np.ones_like(TIME))
+    np.testing.assert_allclose(response, TWO.at(TIME), rtol=ROUNDING)
     assert TWO.at(np.array([0.0])) == 2.0
     np.testing.assert_allclose(TWO.at(np.array([1e3])), 4.0, rtol=ROUNDING)
 
 
 def test_a_ramp_gives_the_closed_form():
     # Of one term: J_0 t + J_1 (t - tau (1 - exp(-t / tau))), per unit rate.
-    one = CreepCompliance(2.0, np.array([1.5]), np.array([7.0]))
+    term = CreepCompliance(2.0, np.array([1.5]), np.array([7.0]))
     wanted = 2.0 * TIME + 1.5 * (TIME - 7.0 * (1.0 - np.exp(-TIME / 7.0)))
     # The closed form loses four digits in its difference at t = 0.1.
-    np.testing.assert_allclose(one.response(TIME, TIME), wanted, rtol=1e-11)
+    np.testing.assert_allclose(term.response(TIME, TIME), wanted, rtol=1e-11)
 
 
 def test_any_piecewise_linear_force_gives_the_integral():
-    found = TWO.response(TIME, FORCE)
+    response = TWO.response(TIME, FORCE)
     for k, at in enumerate(TIME):
         wanted = 0.0
         for j in range(k):
             rate = (FORCE[j + 1] - FORCE[j]) / (TIME[j + 1] - TIME[j])
             part = quad(lambda s, at=at: TWO.at(np.array([at - s]))[0], *TIME[j : j + 2])[0]
             wanted += rate * part
-        assert found[k] == pytest.approx(wanted, abs=1e-10)  # of the quadrature
+        assert response[k] == pytest.approx(wanted, abs=1e-10)  # of the quadrature
 
 
 def test_more_knots_on_the_same_force_change_nothing():
     finer = np.unique(np.concatenate([TIME, np.linspace(0.0, 30.0, 3001)]))
-    found = TWO.response(finer, np.interp(finer, TIME, FORCE))
-    kept = np.searchsorted(finer, TIME)
+    response = TWO.response(finer, np.interp(finer, TIME, FORCE))
+    known = np.searchsorted(finer, TIME)
     # Three thousand steps of the recursion.
-    np.testing.assert_allclose(found[kept], TWO.response(TIME, FORCE), rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(response[known], TWO.response(TIME, FORCE), rtol=1e-10, atol=1e-12)
 
 
 def test_knots_closer_than_rounding_are_a_step():
     time, force = np.array([0.0, 1.0, 1.0 + 1e-15, 2.0]), np.array([0.0, 0.0, 1.0, 1.0])
-    found = TWO.response(time, force)
-    np.testing.assert_allclose(found[3], TWO.at(np.array([1.0]))[0], rtol=ROUNDING)
+    response = TWO.response(time, force)
+    np.testing.assert_allclose(response[3], TWO.at(np.array([1.0]))[0], rtol=ROUNDING)
 
 
 def test_the_derivative_is_that_of_finite_differences():
@@ -63,11 +63,11 @@ def test_the_derivative_is_that_of_finite_differences():
 
 
 def test_one_term_relaxes_by_the_closed_form():
-    found = CreepCompliance(2.0, np.array([3.0]), np.array([5.0])).relaxation()
+    relaxation = CreepCompliance(2.0, np.array([3.0]), np.array([5.0])).relaxation()
     # Zener's solid: rho = tau J_0 / (J_0 + J_1), G_inf = 1 / (J_0 + J_1).
-    assert found.times[0] == pytest.approx(2.0, rel=ROUNDING)
-    assert found.long_term == pytest.approx(0.2, rel=ROUNDING)
-    assert found.instantaneous == pytest.approx(0.5, rel=ROUNDING)
+    assert relaxation.times[0] == pytest.approx(2.0, rel=ROUNDING)
+    assert relaxation.long_term == pytest.approx(0.2, rel=ROUNDING)
+    assert relaxation.instantaneous == pytest.approx(0.5, rel=ROUNDING)
 
 
 @pytest.mark.parametrize("s", [1e-3, 0.1, 1.0, 1e3])
@@ -84,8 +84,8 @@ def test_a_motion_lags_by_the_angle_of_the_complex_compliance():
     turned = 2j * np.pi * frequency[:, None] * TWO.times
     compliance = TWO.instantaneous + (1.0 / (1.0 + turned)) @ TWO.terms
     wanted = -np.angle(compliance)
-    found = TWO.relaxation().loss_angle(frequency)
-    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-15)
+    angles = TWO.relaxation().loss_angle(frequency)
+    np.testing.assert_allclose(angles, wanted, rtol=1e-9, atol=1e-15)
     # And as it is seen: many periods of a force that oscillates, after which no start is left.
     time = np.linspace(0.0, 200.0, 200001)
     turn = 2.0 * np.pi * 0.7 * time
@@ -93,7 +93,7 @@ def test_a_motion_lags_by_the_angle_of_the_complex_compliance():
     both = np.column_stack([np.sin(turn), np.cos(turn)])[100000:]
     along, behind = np.linalg.lstsq(both, moved, rcond=None)[0]
     # Straight pieces of a thousandth of a second, and what is left of the start.
-    assert np.arctan2(-behind, along) == pytest.approx(found[2], rel=1e-4)
+    assert np.arctan2(-behind, along) == pytest.approx(angles[2], rel=1e-4)
 
 
 def test_a_held_displacement_needs_the_force_that_relaxes():

@@ -39,47 +39,47 @@ def fitted(*motions):
 @pytest.mark.parametrize("name", TRUTHS)
 def test_what_was_put_in_comes_out(name):
     truth = TRUTHS[name]
-    found = fitted(motion(truth))
-    assert found.terms == len(truth.times)
+    fit = fitted(motion(truth))
+    assert fit.terms == len(truth.times)
     # The tolerance of the search on the sum of squares, 1e-9, leaves its root.
-    np.testing.assert_allclose(found.compliance.times, truth.times, rtol=1e-3)
+    np.testing.assert_allclose(fit.compliance.times, truth.times, rtol=1e-3)
     unit = truth.response(TIMES, FORCE)[LAST]
     wanted = truth.relaxation().at(AT) * unit
-    np.testing.assert_allclose(found.compliance.relaxation().at(AT), wanted, rtol=1e-4)
-    np.testing.assert_allclose(found.predicted(0), truth.response(TIMES, FORCE), atol=1e-4)
+    np.testing.assert_allclose(fit.compliance.relaxation().at(AT), wanted, rtol=1e-4)
+    np.testing.assert_allclose(fit.predicted(0), truth.response(TIMES, FORCE), atol=1e-4)
 
 
 def test_each_motion_has_a_scale_of_its_own():
-    found = fitted(motion(TWO), motion(TWO, scale=3.0, every=2))
-    assert found.terms == 2
-    np.testing.assert_allclose(found.compliance.times, TWO.times, rtol=1e-3)
-    np.testing.assert_allclose(found.predicted(1), 3.0 * found.predicted(0), rtol=1e-4)
+    fit = fitted(motion(TWO), motion(TWO, scale=3.0, every=2))
+    assert fit.terms == 2
+    np.testing.assert_allclose(fit.compliance.times, TWO.times, rtol=1e-3)
+    np.testing.assert_allclose(fit.predicted(1), 3.0 * fit.predicted(0), rtol=1e-4)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.6])
 @pytest.mark.parametrize("name", TRUTHS)
 def test_terms_and_intervals_hold_in_repeats(name, correlation):
-    found = draws(TRUTHS[name], noise=0.01, count=40, correlation=correlation)
+    statistics = draws(TRUTHS[name], noise=0.01, count=40, correlation=correlation)
     # At most one of forty wrong, as stated in the theory.
-    assert found["terms"][len(TRUTHS[name].times)] >= 39
+    assert statistics["terms"][len(TRUTHS[name].times)] >= 39
     # Of 95 % of forty draws 31 or fewer hold once in ten thousand.
-    assert np.mean(found["hold"], axis=0).min() > 31.5 / 40
+    assert np.mean(statistics["hold"], axis=0).min() > 31.5 / 40
 
 
 def test_an_elastic_body_stays_elastic_where_noise_is_all_there_is():
-    found = fitted(motion(ELASTIC, noise=0.3, seed=4))
-    assert found.terms == 0
+    elastic = fitted(motion(ELASTIC, noise=0.3, seed=4))
+    assert elastic.terms == 0
     # Nothing is known but the static modulus, which has its own interval.
-    assert found.logarithm(lambda each: each.relaxation().at(AT))[1] == pytest.approx(0.0)
+    assert elastic.logarithm(lambda fit: fit.relaxation().at(AT))[1] == pytest.approx(0.0)
 
 
 def test_the_level_of_the_noise_is_found():
-    found = fitted(motion(ONE, noise=0.02))
+    fit = fitted(motion(ONE, noise=0.02))
     claimed = fitted(replace(motion(ONE, noise=0.02), std=np.full(LAST, 0.1)))
     # Of 319 residuals, to 4 % each; three standard deviations.
-    assert found.noise == pytest.approx(1.0, abs=0.12)
-    assert claimed.noise == pytest.approx(0.2 * found.noise, rel=1e-3)
-    np.testing.assert_allclose(claimed.covariance, found.covariance, rtol=1e-2)
+    assert fit.noise == pytest.approx(1.0, abs=0.12)
+    assert claimed.noise == pytest.approx(0.2 * fit.noise, rel=1e-3)
+    np.testing.assert_allclose(claimed.covariance, fit.covariance, rtol=1e-2)
 
 
 def test_few_instants_allow_few_terms():

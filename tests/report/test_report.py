@@ -65,7 +65,7 @@ def unpacked(packed, width=3):
 def test_nothing_is_asked_of_another_host(saved):
     page = page_of(saved)
     assert page.addresses
-    assert [one for one in page.addresses if not one.startswith("data:")] == []
+    assert [address for address in page.addresses if not address.startswith("data:")] == []
     style = "".join(page.styles)
     assert "url(" not in style
     assert "@import" not in style
@@ -78,15 +78,15 @@ def test_nothing_is_asked_of_another_host(saved):
 # A4 less its margins, at 96 to the inch; and a phone.
 @pytest.mark.parametrize(("media", "width"), [("print", 688), ("screen", 390)])
 def test_nothing_is_cut_at_the_right(session, tmp_path, browser, media, width):
-    found = sample_result(session)
-    told = {
+    plain = sample_result(session)
+    figures = {
         "prediction_error": 1e-3,
         "homogeneous_error": 2e-3,
         "prediction_score": 1.2,
         "prediction_within": 0.9,
     }
-    probes = tuple(replace(one, **told) for one in found.estimate.probes)
-    result = replace(found, estimate=replace(found.estimate, probes=probes))
+    probes = tuple(replace(probe, **figures) for probe in plain.estimate.probes)
+    result = replace(plain, estimate=replace(plain.estimate, probes=probes))
     saved = Result(session, result).save(tmp_path / "saved")
     assert "within 95 % (%)" in page_of(saved).text
     page = browser.new_page(viewport={"width": width, "height": 900})
@@ -160,7 +160,7 @@ def test_a_constant_that_is_not_determined_has_no_number(tmp_path, session):
 
 def test_the_view_holds_what_was_measured_and_predicted(saved, session):
     shown = json.loads(page_of(saved).scripts[0])
-    (one,) = shown["probings"]
+    (probing,) = shown["probings"]
     mesh, field = session.mesh, session.probings[0].displacement
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     seen = np.isfinite(field.displacement).all(axis=1)
@@ -168,19 +168,21 @@ def test_the_view_holds_what_was_measured_and_predicted(saved, session):
     exact = {"atol": 0.5 * 40.0 / 32767}
     np.testing.assert_allclose(unpacked(shown["vertices"]), 1e3 * (mesh.vertices - middle), **exact)
     np.testing.assert_allclose(
-        unpacked(one["points"]), 1e3 * (field.points[seen] - middle), **exact
+        unpacked(probing["points"]), 1e3 * (field.points[seen] - middle), **exact
     )
-    np.testing.assert_allclose(unpacked(one["measured"]), 1e3 * field.displacement[seen], **exact)
     np.testing.assert_allclose(
-        unpacked(one["predicted"]), 0.5e3 * field.displacement[seen], **exact
+        unpacked(probing["measured"]), 1e3 * field.displacement[seen], **exact
+    )
+    np.testing.assert_allclose(
+        unpacked(probing["predicted"]), 0.5e3 * field.displacement[seen], **exact
     )
     triangles = np.frombuffer(base64.b64decode(shown["triangles"]), "<u4").reshape(-1, 3)
     np.testing.assert_array_equal(triangles, mesh.triangles)
     held = np.frombuffer(base64.b64decode(shown["held"]), np.uint8)
     np.testing.assert_array_equal(np.flatnonzero(held), session.held_triangles)
     # Rows as a person counts them; the first was not measured.
-    assert one["rows"][0] == 2
-    assert one["force"] == [0.0, 0.0, -1.2]
+    assert probing["rows"][0] == 2
+    assert probing["force"] == [0.0, 0.0, -1.2]
 
 
 def test_residuals_are_in_sigmas(tmp_path, session):
@@ -188,18 +190,18 @@ def test_residuals_are_in_sigmas(tmp_path, session):
     sigma = np.full_like(result.probes[0].predicted, 5e-5)
     fits = (replace(result.probes[0], sigma=sigma),)
     folder = Result(session, replace(result, probes=fits)).save(tmp_path / "sigmas")
-    (one,) = json.loads(page_of(folder).scripts[0])["probings"]
+    (probing,) = json.loads(page_of(folder).scripts[0])["probings"]
     # Left over is half of (0.3, 0, -0.4) mm: 3, 0 and -4 sigmas, their rms over three components.
-    np.testing.assert_allclose(unpacked(one["sigmas"], 1), np.sqrt(25 / 3), rtol=1e-4)
+    np.testing.assert_allclose(unpacked(probing["sigmas"], 1), np.sqrt(25 / 3), rtol=1e-4)
 
 
 def test_many_large_probings_stay_below_five_megabytes(saved):
     surface = read_fitted_surface(saved)
-    (one,) = surface.probings
-    rows = np.arange(4000) % len(one.points)
+    (probing,) = surface.probings
+    rows = np.arange(4000) % len(probing.points)
     large = replace(
-        one, points=one.points[rows], displacement=one.displacement[rows],
-        predicted=one.predicted[rows], sigma=one.sigma[rows], weight=one.weight[rows],
+        probing, points=probing.points[rows], displacement=probing.displacement[rows],
+        predicted=probing.predicted[rows], sigma=probing.sigma[rows], weight=probing.weight[rows],
     )  # fmt: skip
     shown = scene(replace(surface, probings=(large,) * 60))
     assert len(json.dumps(shown)) < 2.5e6
@@ -235,8 +237,8 @@ def test_a_damaged_surface_is_one_message(saved, tmp_path):
     ("name", "value"), [("triangles", -1), ("triangles", 10**6), ("held", -1), ("vertices", np.nan)]
 )
 def test_a_surface_of_impossible_numbers_is_refused(saved, tmp_path, name, value):
-    with np.load(saved / "surface.npz") as kept:
-        arrays = dict(kept)
+    with np.load(saved / "surface.npz") as stored:
+        arrays = dict(stored)
     arrays[name].ravel()[0] = value
     np.savez_compressed(tmp_path / "surface.npz", **arrays)
     with pytest.raises(RecordError, match=rf"surface\.npz: {name} has .*; fit the session"):
@@ -246,8 +248,8 @@ def test_a_surface_of_impossible_numbers_is_refused(saved, tmp_path, name, value
 @pytest.mark.parametrize(("name", "read"), [("palpate-surface/1", True), ("palpate-mesh/1", False)])
 def test_surfaces_of_earlier_results_are_read(saved, tmp_path, name, read):
     """They bore the name that the mesh of a scan had, too; another name is another file."""
-    with np.load(saved / "surface.npz") as kept:
-        arrays = {**kept, "format": np.array(name)}
+    with np.load(saved / "surface.npz") as stored:
+        arrays = {**stored, "format": np.array(name)}
     np.savez_compressed(tmp_path / "surface.npz", **arrays)
     if read:
         again = read_fitted_surface(tmp_path)
@@ -263,13 +265,13 @@ def test_the_report_is_made_again_from_the_folder_alone(saved, tmp_path):
 
 
 def test_pictures_are_drawings_of_the_result(saved):
-    found = re.findall(
+    pictures = re.findall(
         r'src="data:image/(svg\+xml|webp);base64,([^"]+)"',
         (saved / "report.html").read_text(encoding="utf-8"),
     )
-    assert [kind for kind, _ in found] == ["svg+xml", "svg+xml", "webp"]
-    assert base64.b64decode(found[0][1]) == (saved / "probings.svg").read_bytes()
-    assert base64.b64decode(found[2][1]).startswith(b"RIFF")
+    assert [kind for kind, _ in pictures] == ["svg+xml", "svg+xml", "webp"]
+    assert base64.b64decode(pictures[0][1]) == (saved / "probings.svg").read_bytes()
+    assert base64.b64decode(pictures[2][1]).startswith(b"RIFF")
 
 
 def test_a_body_that_creeps_and_stiffens_says_so(saved, tmp_path):

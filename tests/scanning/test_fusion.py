@@ -26,10 +26,10 @@ def test_the_foot_of_a_ball_that_was_cut_has_its_size():
     seen = points[:, 2] > 1e-3
     skin = above(fused(points[seen], normals[seen], support=TABLE), TABLE)
     foot = (skin.vertices[skin.triangles][:, :, 2] < 1e-6).all(axis=1)
-    found = np.sqrt(triangle_areas(skin)[foot].sum() / np.pi)
+    radius = np.sqrt(triangle_areas(skin)[foot].sum() / np.pi)
     true = np.sqrt(RADIUS**2 - CENTRE**2)
     # The bend below the last points; straight down from them it would be 0.9 mm too wide.
-    assert abs(found - true) < 2.5e-4
+    assert abs(radius - true) < 2.5e-4
 
 
 def _sheet(step: float, count: int) -> TriangleMesh:

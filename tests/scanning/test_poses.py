@@ -16,18 +16,18 @@ from palpate.scanning.poses import posed
 def test_a_round_of_views_finds_its_poses():
     count = 9
     views = views_around(toy(), count, known=False)
-    found = posed(views)
+    placed = posed(views)
     first = camera_at(0.0).T_camera_object
-    for k, view in enumerate(found):
-        own = camera_at(2.0 * np.pi * k / count).T_camera_object
-        expected = first @ np.linalg.inv(own)
-        place = views[k].points @ expected[:3, :3].T + expected[:3, 3]
+    for k, view in enumerate(placed):
+        T_camera_object = camera_at(2.0 * np.pi * k / count).T_camera_object
+        expected = first @ np.linalg.inv(T_camera_object)
+        position = views[k].points @ expected[:3, :3].T + expected[:3, 3]
         turn, _ = Rotation.align_vectors(
-            view.points - view.points.mean(axis=0), place - place.mean(axis=0)
+            view.points - view.points.mean(axis=0), position - position.mean(axis=0)
         )
         # 1500 points of 0.05 mm on each view, the chain closed: a tenth of the limits of a bench.
         assert np.degrees(turn.magnitude()) < 0.06
-        assert np.linalg.norm(view.points.mean(axis=0) - place.mean(axis=0)) < 6e-5
+        assert np.linalg.norm(view.points.mean(axis=0) - position.mean(axis=0)) < 6e-5
 
 
 @pytest.mark.slow
@@ -41,8 +41,8 @@ def test_errors_of_a_chain_are_taken_back_by_the_loop():
         pose[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, np.radians(0.3), 3)).as_matrix()
         pose[:3, 3] = rng.normal(0.0, 2e-4, 3)
     start = [true[0], *(a @ b for a, b in zip(off[1:], true[1:], strict=True))]
-    found = poses._adjusted(clouds, start, progress=silent)
-    for pose, expected in zip(found, true, strict=True):
+    adjusted = poses._adjusted(clouds, start, progress=silent)
+    for pose, expected in zip(adjusted, true, strict=True):
         turn = Rotation.from_matrix(pose[:3, :3] @ expected[:3, :3].T)
         # A tenth of the 0.3 degrees that each was off.
         assert np.degrees(turn.magnitude()) < 0.05

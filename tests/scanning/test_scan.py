@@ -59,14 +59,14 @@ def test_only_what_no_view_shows_is_guessed(truth, scanned):
 
 @pytest.mark.slow
 def test_one_view_is_closed_by_the_table_and_marked(truth):
-    found = scan_surface(views_around(truth, seen=1), vertices=800, support=TABLE)
-    checked_mesh(found.mesh)
-    seen = ~found.guessed
-    centre = found.mesh.vertices[found.mesh.triangles].mean(axis=1)
+    surface = scan_surface(views_around(truth, seen=1), vertices=800, support=TABLE)
+    checked_mesh(surface.mesh)
+    seen = ~surface.guessed
+    centre = surface.mesh.vertices[surface.mesh.triangles].mean(axis=1)
     # What the camera at x = 0.8 m saw is where it is; the back is not claimed.
     assert np.quantile(distances(centre[seen], truth), 0.9) < 1e-3
     # Ears that stand up show their tips above the rest.
-    assert found.guessed[(centre[:, 0] < -0.01) & (centre[:, 2] < 0.03)].mean() > 0.95
+    assert surface.guessed[(centre[:, 0] < -0.01) & (centre[:, 2] < 0.03)].mean() > 0.95
 
 
 def test_a_side_that_nobody_saw_is_no_surface(truth, monkeypatch):
@@ -84,10 +84,10 @@ def test_a_ball_seen_from_all_sides_closes_without_a_table():
         make_view(f"v{k}", points[points @ way > 0.01], eye=way, sigma=1e-6, pose=np.eye(4))
         for k, way in enumerate(np.concatenate([np.eye(3), -np.eye(3)]))
     ]
-    found = scan_surface(views, vertices=500)
-    assert not found.guessed.any()
+    surface = scan_surface(views, vertices=500)
+    assert not surface.guessed.any()
     # Of 500 vertices, chords lack 1.2 % of the volume.
-    assert abs(deviation(made(ball(0.03, fine=5)), found.mesh).volume) < 0.02
+    assert abs(deviation(made(ball(0.03, fine=5)), surface.mesh).volume) < 0.02
 
 
 def test_an_object_that_moved_is_noticed(truth):

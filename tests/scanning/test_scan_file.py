@@ -96,11 +96,11 @@ def test_every_format_gives_the_same_points(tmp_path, name):
         np.save(path, LEVELS)
     else:
         cv2.imwrite(str(path), LEVELS)
-    found = _points(path)
-    assert len(found) == LEVELS.size
-    np.testing.assert_allclose(found[:, 2], 0.8)
+    points = _points(path)
+    assert len(points) == LEVELS.size
+    np.testing.assert_allclose(points[:, 2], 0.8)
     # The last pixel, at (15, 11), is 15 / 20 and 11 / 20 of the depth beside the axis.
-    np.testing.assert_allclose(found[-1], [0.6, 0.44, 0.8])
+    np.testing.assert_allclose(points[-1], [0.6, 0.44, 0.8])
 
 
 def test_several_maps_in_one_file_are_refused(tmp_path):

@@ -14,8 +14,8 @@ from palpate.scanning.solid import above
 def test_a_cut_lies_in_its_plane_however_close_it_passes_by_vertices():
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.03)
     rng = np.random.default_rng(0)
-    place = Rotation.random(random_state=0).apply(ball.vertices)
-    mesh = TriangleMesh(place, np.asarray(ball.faces, dtype=np.int64))
+    vertices = Rotation.random(random_state=0).apply(ball.vertices)
+    mesh = TriangleMesh(vertices, np.asarray(ball.faces, dtype=np.int64))
     for height in rng.uniform(-0.02, 0.02, 40):
         plane = Plane(np.array([0.0, 0.0, height]), np.array([0.0, 0.0, 1.0]))
         skin = above(mesh, plane)

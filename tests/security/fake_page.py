@@ -53,11 +53,11 @@ class Page:
         return SimpleNamespace(add_tab=lambda _: nullcontext())
 
     def of_kind(self, *kinds):
-        return [one for one in self.controls if one.kind in kinds]
+        return [control for control in self.controls if control.kind in kinds]
 
     def button(self, label):
         """The last button with that label."""
-        return [one for one in self.of_kind("button") if one.label == label][-1]
+        return [button for button in self.of_kind("button") if button.label == label][-1]
 
 
 def opened_tab(background):

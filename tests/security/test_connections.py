@@ -20,9 +20,9 @@ class Address:
     """The parts of a viewer's address."""
 
     def __init__(self, address: str) -> None:
-        found = re.fullmatch(r"http://(127\.0\.0\.1):(\d+)/([0-9a-f]{32})/", address)
-        assert found, address
-        self.host, self.port, self.token = found[1], int(found[2]), found[3]
+        match = re.fullmatch(r"http://(127\.0\.0\.1):(\d+)/([0-9a-f]{32})/", address)
+        assert match, address
+        self.host, self.port, self.token = match[1], int(match[2]), match[3]
         self.name = f"{self.host}:{self.port}"
         self.path = f"/{self.token}/"
 
@@ -135,9 +135,9 @@ def test_a_websocket_needs_the_token(address):
 @pytest.mark.parametrize("end", ["", "/"])
 def test_the_owner_s_websocket_gets_the_scene(address, end):
     origin = f"http://{address.name}"
-    found = first_message(address, f"/{address.token}{end}", Origin=origin)
-    assert isinstance(found, bytes)
-    assert len(found) > 16
+    message = first_message(address, f"/{address.token}{end}", Origin=origin)
+    assert isinstance(message, bytes)
+    assert len(message) > 16
 
 
 def test_every_viewer_has_a_token_of_its_own(viewer):
@@ -152,7 +152,7 @@ def test_every_viewer_has_a_token_of_its_own(viewer):
 
 
 def test_the_page_of_a_measurement_is_guarded_alike():
-    page = Page("ball", port=None, say=lambda _: None)
+    page = Page("ball", port=None, on_message=lambda _: None)
     try:
         here = Address(page.address)
         assert [answer(here, path)[0] for path in ("/", f"/{'0' * 32}/")] == [403, 403]

@@ -52,15 +52,15 @@ def test_the_viewer_shows_a_name_as_it_is(tmp_path, monkeypatch, name):
     tab, page = opened_tab(background)
     tab.setting.draft = Draft().with_contact("n01", tab.stage.subject.session.mesh.vertices[0])
     tab.setting._show()
-    shown = [Shown(one.content) for one in page.of_kind("html")]
+    shown = [Shown(html.content) for html in page.of_kind("html")]
     # Heading, model, touch.
-    assert sum(name in one.text for one in shown) == 3
+    assert sum(name in text.text for text in shown) == 3
     page.button("write session.toml ...").click()
     page.button("write").click()
-    shown += [Shown(one.content) for one in page.of_kind("html")]
+    shown += [Shown(html.content) for html in page.of_kind("html")]
     assert f"not written: {InputError(name)}" in Shown(tab.setting.text.content).text
-    assert set().union(*(one.tags for one in shown)) <= {"div", "span", "b", "i"}
-    assert set().union(*(one.attributes for one in shown)) == {"style"}
+    assert set().union(*(text.tags for text in shown)) <= {"div", "span", "b", "i"}
+    assert set().union(*(text.attributes for text in shown)) == {"style"}
 
 
 def test_every_text_of_a_page_is_made_by_few_functions():
@@ -73,7 +73,7 @@ def test_every_text_of_a_page_is_made_by_few_functions():
             return getattr(node.func, "id", "").endswith(("_html", "_svg"))
         return isinstance(node, ast.Constant) and node.value == ""
 
-    found = 0
+    count = 0
     viewer, page = Path(palpate.viewer.__file__).parent, Path(palpate.bench.page.__file__)
     for file in (*viewer.rglob("*.py"), page):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
@@ -82,9 +82,9 @@ def test_every_text_of_a_page_is_made_by_few_functions():
             values = node.args if name == "add_html" else []
             if isinstance(node, ast.Assign) and getattr(node.targets[0], "attr", "") == "content":
                 values = [node.value]
-            found += len(values)
+            count += len(values)
             assert all(map(is_safe, values)), f"{file}: line {node.lineno}"
-    assert found > 20
+    assert count > 20
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -116,7 +116,7 @@ def test_the_report_shows_a_name_as_it_is(tmp_path, name):
     island = text.partition('<script type="application/json" id="scene">')[2]
     island = island.partition("</script>")[0]
     assert "<" not in island
-    assert [one["name"] for one in json.loads(island)["probings"]] == ["n01"]
+    assert [probing["name"] for probing in json.loads(island)["probings"]] == ["n01"]
     page = Shown(text.replace(island, ""))
     # Title, heading, note.
     assert page.text.count(name) == 3

@@ -102,7 +102,7 @@ def test_names_of_probings_and_cameras_do_not_meet_in_one_picture(tmp_path):
     session = read_session(planned_session(tmp_path, text), observations=False)
     rig = read_rig(session.rig)
     cameras = zip(rig.cameras, ("c", "b_c", "d"), strict=True)
-    renamed = Rig(tuple(replace(each, name=name) for each, name in cameras), 0, "here")
+    renamed = Rig(tuple(replace(camera, name=name) for camera, name in cameras), 0, "here")
     with pytest.raises(InputError, match="picture 'n01_b_c': there are files named"):
         facility.check_picture_names([probing.name for probing in session.probings], renamed)
 

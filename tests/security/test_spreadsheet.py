@@ -54,8 +54,8 @@ def test_tables_of_results_are_written_so(formula):
 
 
 def test_the_table_of_a_calibration_is_written_so(tmp_path, monkeypatch):
-    one = PictureError("=1+1", "@view", 48, 0, 0.1)
-    monkeypatch.setattr(quality, "picture_errors", lambda _: [one])
+    error = PictureError("=1+1", "@view", 48, 0, 0.1)
+    monkeypatch.setattr(quality, "picture_errors", lambda _: [error])
     quality._write_pictures(tmp_path / "views.csv", object.__new__(Calibration))
     written = (tmp_path / "views.csv").read_text(encoding="utf-8")
     assert cells_of(written)[1] == ["'=1+1", "'@view", "48", "0", "0.1000"]

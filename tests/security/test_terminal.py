@@ -71,10 +71,10 @@ def test_a_document_shows_it(capsys):
         print_text(NAME)
     out = capsys.readouterr().out
     flat(out)
-    found = json.loads(out)
-    assert found["command"] == ["check", SHOWN]
-    assert found["tables"][0]["rows"] == [{"name": SHOWN, "value": SHOWN}]
-    assert found["sentences"] == [SHOWN]
+    document = json.loads(out)
+    assert document["command"] == ["check", SHOWN]
+    assert document["tables"][0]["rows"] == [{"name": SHOWN, "value": SHOWN}]
+    assert document["sentences"] == [SHOWN]
 
 
 def test_the_command_line_shows_it(cube_session, tmp_path, monkeypatch, capsys):
@@ -101,5 +101,5 @@ def test_nothing_is_printed_by_other_ways():
     for file in root.rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             name = getattr(getattr(node, "func", None), "id", "")
-            place = file.relative_to(root).as_posix()
-            assert place in allowed.get(name, {place}), f"{place}: line {node.lineno}: {name}"
+            source = file.relative_to(root).as_posix()
+            assert source in allowed.get(name, {source}), f"{source}: line {node.lineno}: {name}"

@@ -79,16 +79,16 @@ def test_web_servers_of_dask_have_no_pages(workers):
     a list of pages, which has none but itself."""
     (worker,) = workers.client.run(os.getpid).values()
     listening = [
-        each.laddr
+        connection.laddr
         for pid in (os.getpid(), worker)
-        for each in psutil.Process(pid).net_connections("tcp")
-        if each.status == psutil.CONN_LISTEN
+        for connection in psutil.Process(pid).net_connections("tcp")
+        if connection.status == psutil.CONN_LISTEN
     ]
-    assert {place.ip for place in listening} <= {"127.0.0.1", "::1"}
-    ports = {each["services"]["dashboard"] for each in
+    assert {address.ip for address in listening} <= {"127.0.0.1", "::1"}
+    ports = {worker_info["services"]["dashboard"] for worker_info in
              workers.client.scheduler_info()["workers"].values()}  # fmt: skip
     ports.add(workers.client.scheduler_info()["services"]["dashboard"])
-    assert ports <= {place.port for place in listening}
+    assert ports <= {address.port for address in listening}
     for port in ports:
         for page in (
             "", "status", "info/main/workers.html", "json/counts.json", "metrics", "health",

@@ -43,8 +43,8 @@ def walked(green, places, *, tool=BALL, friction=0.0, turn=None):
     """The states along a path of one tool, the one at rest first."""
     turn, tool = np.eye(3) if turn is None else turn, replace(tool, friction=friction)
     states = [start_contact(green, [PlacedTool(tool, places[0], turn)])]
-    for place in places:
-        states.append(touch(green, [PlacedTool(tool, place, turn)], states[-1]))
+    for position in places:
+        states.append(touch(green, [PlacedTool(tool, position, turn)], states[-1]))
     return states
 
 
@@ -105,8 +105,8 @@ def test_forces_are_those_of_a_full_solve_with_the_same_contact(session, green, 
 @pytest.mark.parametrize("friction", [0.0, 0.4, np.inf])
 def test_nothing_enters_the_tool_and_nothing_is_pulled(green, friction):
     for state in walked(green, [oblique(s) for s in np.linspace(0, 1, 12)], friction=friction)[2:]:
-        place = green.mesh.vertices[green.nodes] + state.displacement
-        gap = np.linalg.norm(place - state.tools[0].position, axis=1) - RADIUS
+        position = green.mesh.vertices[green.nodes] + state.displacement
+        gap = np.linalg.norm(position - state.tools[0].position, axis=1) - RADIUS
         # Rounding of lengths of 0.1 m.
         assert gap.min() > -1e-12
         np.testing.assert_allclose(gap[state.touching], 0.0, atol=1e-12)
@@ -122,9 +122,9 @@ def energy(green, state):
 
 def work(states):
     """Work of the tool on the object along its path [J]: the trapezoidal rule."""
-    place = np.array([state.tools[0].position for state in states])
+    position = np.array([state.tools[0].position for state in states])
     push = -np.array([state.tool_force[0] for state in states])
-    return float(np.einsum("sa,sa->", 0.5 * (push[1:] + push[:-1]), np.diff(place, axis=0)))
+    return float(np.einsum("sa,sa->", 0.5 * (push[1:] + push[:-1]), np.diff(position, axis=0)))
 
 
 def test_without_friction_the_work_of_the_tool_is_the_energy_of_the_object(green):
@@ -219,23 +219,23 @@ def test_two_tools_press_as_one_body_whatever_their_order(green):
             state = touch(green, now, state)
         return state
 
-    one, other = pressed([0, 1]), pressed([1, 0])
-    np.testing.assert_allclose(one.tool_force, other.tool_force[::-1], rtol=1e-8)
-    assert (one.tool_force[:, 2] > 0.0).all()
+    first, other = pressed([0, 1]), pressed([1, 0])
+    np.testing.assert_allclose(first.tool_force, other.tool_force[::-1], rtol=1e-8)
+    assert (first.tool_force[:, 2] > 0.0).all()
 
 
 def test_the_response_is_that_of_the_touching_nodes_however_the_contact_grew(green):
     """Two tools, one without friction, pressed in and half out: against the compliance itself."""
     places = [np.array([0.02 + x, 0.02, 0.048]) for x in (-0.01, 0.012)]
     tools = [
-        PlacedTool(Sphere(0.008, friction=friction), place + np.array([0, 0, 1e-6]))
-        for place, friction in zip(places, (0.0, 0.3), strict=True)
+        PlacedTool(Sphere(0.008, friction=friction), position + np.array([0, 0, 1e-6]))
+        for position, friction in zip(places, (0.0, 0.3), strict=True)
     ]
     state, counts = start_contact(green, tools), set()
     for depth in [*np.linspace(0, 2e-3, 9), *np.linspace(2e-3, 5e-4, 7)]:
         now = [
-            PlacedTool(one.tool, place - [0, 0, depth])
-            for one, place in zip(tools, places, strict=True)
+            PlacedTool(tool.tool, position - [0, 0, depth])
+            for tool, position in zip(tools, places, strict=True)
         ]
         state = touch(green, now, state)
         nodes = np.flatnonzero(state.given)
@@ -243,11 +243,11 @@ def test_the_response_is_that_of_the_touching_nodes_however_the_contact_grew(gre
         force = np.random.default_rng(1).normal(size=(len(nodes), 3))
         displacement = np.einsum("iajb,jb->ia", green.compliance[nodes][:, :, nodes], force)
         by_force = (state.given[nodes] == BY_FORCE)[:, None]
-        found = state.response @ np.where(by_force, force, displacement).ravel()
+        product = state.response @ np.where(by_force, force, displacement).ravel()
         wanted = np.where(by_force, displacement, force)
         # Rounding through a condition of 1e2, displacements and forces each by their own size.
         for kind in (by_force, ~by_force) if len(nodes) else ():
-            off = np.abs(found.reshape(-1, 3) - wanted) * kind
+            off = np.abs(product.reshape(-1, 3) - wanted) * kind
             assert off.max() <= 1e-10 * np.abs(wanted * kind).max()
     assert len(counts) > 2
 
@@ -271,8 +271,8 @@ STEP = 1e-3
 def neighbours(session, tmp_path_factory):
     """Green's functions for three Poisson's ratios near each other."""
     ratios = (0.3, 0.3 + STEP, 0.3 - STEP)
-    kept = tmp_path_factory.mktemp("integrals")
-    return [top_functions(session, Material(SHEAR, ratio, SIGMA), kept) for ratio in ratios]
+    integrals = tmp_path_factory.mktemp("integrals")
+    return [top_functions(session, Material(SHEAR, ratio, SIGMA), integrals) for ratio in ratios]
 
 
 @pytest.mark.parametrize(("friction", "off"), [(0.0, 5e-3), (np.inf, 1e-5)])
@@ -286,9 +286,9 @@ def test_the_deviation_of_the_force_is_that_of_other_constants(neighbours, frict
     ends = [walked(green, places, friction=friction)[-1] for green in neighbours]
     force = [state.tool_force[0] for state in ends]
     slopes = np.stack([force[0] / SHEAR, (force[1] - force[2]) / (2 * STEP)], axis=1)
-    found = force_covariance(neighbours[0], ends[0])[0]
+    covariance = force_covariance(neighbours[0], ends[0])[0]
     wanted = slopes @ SIGMA @ slopes.T
-    assert np.abs(found - wanted).max() < off * np.abs(wanted).max()
+    assert np.abs(covariance - wanted).max() < off * np.abs(wanted).max()
 
 
 def test_a_contact_of_few_nodes_is_said_not_to_be_resolved(green):

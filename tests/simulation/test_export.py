@@ -160,14 +160,14 @@ def written_nodes(name, folder):
     if name == "mujoco":
         root = ET.parse(folder / "model.xml").getroot()
         (flex,) = root.iter("flex")
-        places = {each.attrib["name"]: each.attrib["pos"].split() for each in root.iter("body")}
-        own = np.array(flex.attrib["vertex"].split(), dtype=float).reshape(-1, 3)
+        places = {body.attrib["name"]: body.attrib["pos"].split() for body in root.iter("body")}
+        offsets = np.array(flex.attrib["vertex"].split(), dtype=float).reshape(-1, 3)
         bodies = flex.attrib["body"].split()
-        nodes = own + np.array([places.get(each, [0, 0, 0]) for each in bodies], dtype=float)
+        nodes = offsets + np.array([places.get(body, [0, 0, 0]) for body in bodies], dtype=float)
         return nodes, len(flex.attrib["element"].split()) // 4
-    one = next(ET.parse(folder / "model.scn").getroot().iter("MeshTopology"))
+    topology = next(ET.parse(folder / "model.scn").getroot().iter("MeshTopology"))
     keys = ("position", "tetrahedra")
-    nodes, cells = (np.array(one.attrib[key].split(), dtype=float) for key in keys)
+    nodes, cells = (np.array(topology.attrib[key].split(), dtype=float) for key in keys)
     return nodes.reshape(-1, 3), cells.size // 4
 
 
@@ -195,9 +195,9 @@ def test_openusd_names_the_constants_for_newton_and_for_physx(source, exported):
     assert '"PhysicsVolumeDeformableMaterialAPI"' in text
     young = source.estimate.young_modulus.value
     for space in ("physics", "omniphysics"):
-        found = float(text.split(f"float {space}:youngsModulus = ")[1].split()[0])
+        modulus = float(text.split(f"float {space}:youngsModulus = ")[1].split()[0])
         # Nine digits, of a modulus that is made of G and nu again.
-        assert found == pytest.approx(young, rel=1e-8)
+        assert modulus == pytest.approx(young, rel=1e-8)
         assert f"float {space}:poissonsRatio = 0.3\n" in text
         assert f"float {space}:density = " in text
 
@@ -222,7 +222,9 @@ def test_genesis_gets_support_and_push_on_the_vertices_of_its_surface(source, ex
     push = json.loads((folder / "replay.json").read_text())
     np.testing.assert_allclose(np.sum(push["nodal_forces"], axis=0), push["force"], atol=1e-12)
     # Pressed from above, within the contact and a tetrahedron around it.
-    (contact,) = (one.contact for one in source.session.probings if one.name == push["probing"])
+    (contact,) = (
+        probing.contact for probing in source.session.probings if probing.name == push["probing"]
+    )
     loaded = vertices[push["loaded_nodes"]]
     assert np.linalg.norm(loaded - contact.point, axis=1).max() < 1.5 * RADIUS
     point = push["point_shares"] @ vertices[push["point_nodes"]]
@@ -236,10 +238,10 @@ def test_every_format_has_one_writer():
 
 def test_calculix_moves_the_point_as_the_model_does(exported):
     folder = exported["calculix"]
-    found = moved_by_calculix(folder)
+    moved = moved_by_calculix(folder)
     wanted = json.loads((folder / "replay.json").read_text())["displacement"]
     # Tetrahedra of 6 mm under a contact of 14 mm, triangles of 7 mm.
-    assert np.linalg.norm(found - wanted) < 0.02 * np.linalg.norm(wanted)
+    assert np.linalg.norm(moved - wanted) < 0.02 * np.linalg.norm(wanted)
 
 
 @pytest.mark.slow
@@ -258,7 +260,7 @@ def test_few_nodes_are_moved_by_the_push_as_many_are(source, cache, tmp_path):
     facts = json.loads((tmp_path / "palpate.json").read_text())
     assert facts["tetrahedra"]["nodes"] <= 300
     # Linear tetrahedra are too stiff; so few by a tenth at least.
-    young, written = (facts[each]["young_modulus"] for each in ("constants", "written"))
+    young, written = (facts[facts_of]["young_modulus"] for facts_of in ("constants", "written"))
     assert written < 0.9 * young["value"]
     assert written == pytest.approx(body.material.young_modulus)
     assert "nodes are few" in body.notes[-1]
@@ -324,12 +326,14 @@ def test_a_material_outside_a_simulators_range_is_refused_or_said(source, tmp_pa
 def test_what_the_data_do_not_determine_is_written_as_assumed(source, tmp_path):
     known = {"shear_modulus": False, "poisson_ratio": False, "young_modulus": True}
     status = Status.from_identifiable(known)
-    told = replace(source, estimate=replace(source.estimate, identifiable=known, status=status))
-    body = export_fit(tmp_path, told, "obj")
+    undetermined = replace(
+        source, estimate=replace(source.estimate, identifiable=known, status=status)
+    )
+    body = export_fit(tmp_path, undetermined, "obj")
     assert body.notes[0] == status.advice
     facts = json.loads((tmp_path / "palpate.json").read_text())
-    found = {name: one["determined"] for name, one in facts["constants"].items()}
-    assert found == known
+    determined = {name: constant["determined"] for name, constant in facts["constants"].items()}
+    assert determined == known
     readme = (tmp_path / "README.txt").read_text()
     assert re.search(r"poisson_ratio +not determined +\(", readme)
     assert re.search(r"Written: young_modulus \S+ Pa, poisson_ratio \S+ \(assumed\), den", readme)

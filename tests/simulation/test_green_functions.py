@@ -109,9 +109,9 @@ def test_a_file_with_any_other_byte_is_refused_or_reads_the_same(tmp_path):
     whole = path.read_bytes()
     rng = np.random.default_rng(4)
     refused = 0
-    for place in rng.integers(0, len(whole), 300):
+    for index in rng.integers(0, len(whole), 300):
         broken = bytearray(whole)
-        broken[place] ^= 1 << rng.integers(8)
+        broken[index] ^= 1 << rng.integers(8)
         path.write_bytes(broken)
         try:
             again = read_green_functions(path)
@@ -155,10 +155,10 @@ def test_held_and_unknown_vertices_are_refused(session):
 
 def test_the_covariance_is_the_one_that_gives_all_three_deviations(session):
     estimate = sample_result(session).estimate
-    found = estimated_material(estimate)
-    slope = np.array([2 * (1 + found.poisson_ratio), 2 * found.shear_modulus])
+    material = estimated_material(estimate)
+    slope = np.array([2 * (1 + material.poisson_ratio), 2 * material.shear_modulus])
     # Rounding.
-    assert np.sqrt(slope @ found.covariance @ slope) == pytest.approx(estimate.young_modulus.std)
+    assert np.sqrt(slope @ material.covariance @ slope) == pytest.approx(estimate.young_modulus.std)
 
 
 def test_impossible_materials_are_refused():

@@ -19,8 +19,8 @@ STIFFENING = 3.0
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
     source = read_fit(written_result(tmp_path_factory.mktemp("stiffening")))
-    found = Constant(STIFFENING, 0.2, (2.6, 3.4))
-    return replace(source, estimate=replace(source.estimate, stiffening=found))
+    stiffening = Constant(STIFFENING, 0.2, (2.6, 3.4))
+    return replace(source, estimate=replace(source.estimate, stiffening=stiffening))
 
 
 def checked(source, first, second, bulk):
@@ -40,7 +40,7 @@ def test_calculix_and_abaqus_get_the_law(source, tmp_path):
     checked(source, first, second, 2.0 / volume[0])
     # Neither a third term nor higher ones in the volume, which are divided by.
     assert third == 0.0
-    assert all(each > 1e8 * volume[0] for each in volume[1:])
+    assert all(value > 1e8 * volume[0] for value in volume[1:])
     assert "*ELASTIC" not in text
     assert "*STEP, NLGEOM\n" in text
     assert any("Yeoh's law was written with C2 / C1 = 3" in note for note in body.notes)
@@ -53,7 +53,7 @@ def test_calculix_moves_the_point_as_the_law_does(source, tmp_path):
     constants = {name: Constant(size, 0.0, (size, size)) for name, size in soft.items()}
     softer = replace(source, estimate=replace(source.estimate, **constants))
     body = export_fit(tmp_path, softer, "calculix", edge=0.01)
-    found, model = moved_by_calculix(tmp_path), make_solid_model(body, edge=0.01)
+    by_calculix, model = moved_by_calculix(tmp_path), make_solid_model(body, edge=0.01)
     elements = make_body(model.solid, model.held, shear_modulus=5e3, poisson_ratio=0.3)
 
     def moved(stiffening):
@@ -62,7 +62,7 @@ def test_calculix_moves_the_point_as_the_law_does(source, tmp_path):
 
     wanted = moved(STIFFENING)
     # The same elements, and nine digits of every number; what stiffens is 100 times as much.
-    apart = np.linalg.norm(found - wanted)
+    apart = np.linalg.norm(by_calculix - wanted)
     assert apart < 1e-4 * np.linalg.norm(wanted)
     assert apart < 0.01 * np.linalg.norm(wanted - moved(0.0))
 

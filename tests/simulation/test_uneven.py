@@ -158,33 +158,33 @@ def test_files_have_the_modulus_of_every_element(source, to, tmp_path):
     young = source.estimate.young_modulus.value
     if to == "vtu":
         mesh = meshio.read(tmp_path / "model.vtu")
-        found = mesh.cell_data["young_modulus"][0].ravel()
+        moduli = mesh.cell_data["young_modulus"][0].ravel()
         above = is_above(mesh.points[mesh.cells[0].data[:, :4]].mean(axis=1))
     elif to in ("sofa", "openusd"):
         name, separator = ("model.scn", " ") if to == "sofa" else ("model.usda", ", ")
         pattern = 'youngModulus="(.*?)"' if to == "sofa" else r"primvars:youngsModulus = \[(.*?)\]"
         text = re.search(pattern, (tmp_path / name).read_text())[1]
-        found, above = np.array(text.split(separator), dtype=float), None
+        moduli, above = np.array(text.split(separator), dtype=float), None
     elif to == "febio":
         root = ET.parse(tmp_path / "model.feb").getroot()
-        found = np.array([float(each.text) for each in root.findall("Material/material/E")])
-        counts = [len(each.findall("elem")) for each in root.findall("Mesh/Elements")]
-        assert len(counts) == len(found) == len(root.findall("MeshDomains/SolidDomain"))
+        moduli = np.array([float(element.text) for element in root.findall("Material/material/E")])
+        counts = [len(group.findall("elem")) for group in root.findall("Mesh/Elements")]
+        assert len(counts) == len(moduli) == len(root.findall("MeshDomains/SolidDomain"))
         above = None
     elif to == "mujoco":
-        found = re.findall(r'elasticity young="(.*?)"', (tmp_path / "model.xml").read_text())
-        found, above = np.array(found, dtype=float), None
+        moduli = re.findall(r'elasticity young="(.*?)"', (tmp_path / "model.xml").read_text())
+        moduli, above = np.array(moduli, dtype=float), None
     else:
         text = (tmp_path / "model.inp").read_text()
-        found = np.array(re.findall(r"\*ELASTIC\n(.*?),", text), dtype=float)
+        moduli = np.array(re.findall(r"\*ELASTIC\n(.*?),", text), dtype=float)
         assert text.count("ELSET=BODY1\n") == 1
         above = None
     # Materials differ by steps of two per cent.
-    assert found.min() == pytest.approx(young, rel=0.011)
-    assert found.max() == pytest.approx(3.0 * young, rel=0.011)
+    assert moduli.min() == pytest.approx(young, rel=0.011)
+    assert moduli.max() == pytest.approx(3.0 * young, rel=0.011)
     if above is not None:
         # Middles near that of the cube may lie in an element of the map on the other side.
-        assert ((found > 2.0 * young) == above).mean() > 0.85
+        assert ((moduli > 2.0 * young) == above).mean() > 0.85
 
 
 @pytest.mark.slow

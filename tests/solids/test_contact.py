@@ -67,11 +67,11 @@ def test_a_flat_punch_presses_as_boussinesq_says():
     held = solid.nodes[:, 2] == 0.0
     body = make_body(solid, held, shear_modulus=SHEAR, poisson_ratio=POISSON)
     (state,) = press(body, punch, np.array([depth]))
-    found = -float(state.force[2]) / (2 * radius * CONTACT_MODULUS * depth)
+    ratio = -float(state.force[2]) / (2 * radius * CONTACT_MODULUS * depth)
     # The rim's elements hold the surface down beyond it: too stiff by 0.083 of their size over the
     # radius, as halving it shows, and the block by 0.006, as it is no half space. Between nodes the
     # rim would be that of a smaller punch, 3 % too soft.
-    assert found == pytest.approx(1.0 + 0.083 / 2 + 0.006, abs=0.015)
+    assert ratio == pytest.approx(1.0 + 0.083 / 2 + 0.006, abs=0.015)
     under = np.linalg.norm((solid.nodes - TOP)[:, :2], axis=1) < 0.9 * radius
     under &= solid.nodes[:, 2] == SIZE
     # None is in the punch; a corner between pressed middles may hang below it by a little.
@@ -84,7 +84,7 @@ def test_a_flat_punch_presses_as_boussinesq_says():
     around = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     places = TOP + radius * (beside[:, None, None] * around).reshape(-1, 3)
     dip = (surface_values(solid, places) @ state.displacement)[:, 2].reshape(2, -1).mean(axis=1)
-    exact = -depth * found * 2 / np.pi * np.arcsin(1 / beside)
+    exact = -depth * ratio * 2 / np.pi * np.arcsin(1 / beside)
     np.testing.assert_allclose(dip, exact, rtol=0.012)
 
 
@@ -115,9 +115,9 @@ def test_reaction_equals_force(block):
 
 def test_a_press_to_a_force_is_the_press_to_its_depth(block):
     (state,) = press(block, BALL, np.array([2.5e-4]))
-    found = press_to_force(block, BALL, -float(state.force[2]))
-    assert found.depth == pytest.approx(2.5e-4, rel=1e-6)
-    np.testing.assert_allclose(found.displacement, state.displacement, atol=1e-6 * 2.5e-4)
+    state_again = press_to_force(block, BALL, -float(state.force[2]))
+    assert state_again.depth == pytest.approx(2.5e-4, rel=1e-6)
+    np.testing.assert_allclose(state_again.displacement, state.displacement, atol=1e-6 * 2.5e-4)
 
 
 def test_what_sticks_moves_with_the_tip(block):
@@ -237,9 +237,11 @@ def test_a_force_that_a_body_could_bear_only_as_a_thin_layer_is_refused(block):
 
 
 def test_samples_of_a_face_are_of_degree_two():
-    place = facet_samples()
-    assert place.shape == (48, 3)
-    assert (place > 0.0).all()
+    samples = facet_samples()
+    assert samples.shape == (48, 3)
+    assert (samples > 0.0).all()
     # Means over a triangle: a 1/3, a^2 1/6, a b 1/12; the rule is exact.
-    np.testing.assert_allclose(place.mean(axis=0), 1 / 3, rtol=1e-12)
-    np.testing.assert_allclose(place.T @ place / 48, (np.ones((3, 3)) + np.eye(3)) / 12, rtol=1e-12)
+    np.testing.assert_allclose(samples.mean(axis=0), 1 / 3, rtol=1e-12)
+    np.testing.assert_allclose(
+        samples.T @ samples / 48, (np.ones((3, 3)) + np.eye(3)) / 12, rtol=1e-12
+    )

@@ -46,34 +46,36 @@ def test_a_plate_on_a_block_is_the_closed_form(stretch: float) -> None:
     body = _block(0.0)
     plate = Tip(FlatFace(2 * SIDE), TOP, DOWN)
     force = SIDE**2 * SHEAR * (1.0 / stretch - stretch)
-    found = press_finite(body, plate, force)
+    pressed = press_finite(body, plate, force)
     expected = (stretch - 1.0) * body.solid.nodes[:, 2]
     # Quadratic elements hold the field exactly; Newton leaves 1e-7 of the force.
-    np.testing.assert_allclose(found.displacement[:, 2], expected, atol=1e-6 * SIDE)
-    assert np.abs(found.displacement[:, :2]).max() < 1e-6 * SIDE
+    np.testing.assert_allclose(pressed.displacement[:, 2], expected, atol=1e-6 * SIDE)
+    assert np.abs(pressed.displacement[:, :2]).max() < 1e-6 * SIDE
     # The springs give by pressure over 1000 mu / R.
     pressure = force / SIDE**2
     depth = (1.0 - stretch) * SIDE + pressure * plate.radius / (1000.0 * SHEAR)
-    assert found.travel == pytest.approx(depth, rel=1e-5)
+    assert pressed.travel == pytest.approx(depth, rel=1e-5)
 
 
 def test_a_ball_is_in_balance_and_enters_by_little() -> None:
     body, ball = _block(0.3), Tip(Sphere(6e-3), TOP, DOWN)
     force = 1.5
-    found = press_finite(body, ball, force)
-    inner = internal_forces(NeoHookean(*body.lame), quadratic_basis(body.solid), found.displacement)
+    pressed = press_finite(body, ball, force)
+    inner = internal_forces(
+        NeoHookean(*body.lame), quadratic_basis(body.solid), pressed.displacement
+    )
     reaction = inner[body.held].sum(axis=0)
     # Newton leaves 1e-7; across, the block's mesh is not symmetric.
     assert reaction[2] == pytest.approx(force, rel=1e-5)
     assert np.abs(reaction[:2]).max() < 0.05 * force
-    depth = found.travel + ball.radius
+    depth = pressed.travel + ball.radius
     assert depth > 0.2 * ball.radius
     # Pressures of twice the modulus, and more in the middle, over springs of 100 mu / R.
-    assert _entered(body, ball, found.displacement, found.travel) < 0.04 * ball.radius
+    assert _entered(body, ball, pressed.displacement, pressed.travel) < 0.04 * ball.radius
     # It is at rest there.
-    again = press_finite(body, ball, force, start=found)
-    np.testing.assert_array_equal(again.displacement, found.displacement)
-    assert again.travel == found.travel
+    again = press_finite(body, ball, force, start=pressed)
+    np.testing.assert_array_equal(again.displacement, pressed.displacement)
+    assert again.travel == pressed.travel
 
 
 def test_what_cannot_be() -> None:
@@ -86,27 +88,27 @@ def test_what_cannot_be() -> None:
 
 def test_a_punch_ends_at_its_rim() -> None:
     body, punch = _block(0.3), Tip(FlatFace(4e-3), TOP, DOWN)
-    found = press_finite(body, punch, 1.0)
+    pressed = press_finite(body, punch, 1.0)
     nodes = body.solid.nodes
     top = nodes[:, 2] == SIDE
     away = np.linalg.norm(nodes[:, :2] - TOP[:2], axis=1)
     # A face without end would push all of the top down; on a half space, a flat face of radius a
     # pushes down (2 / pi) asin(a / r) = 0.29 of it at 9 mm.
-    outside = found.displacement[top & (away > 9e-3), 2]
-    assert -outside.min() < 0.35 * found.travel
-    under = found.displacement[top & (away < 3e-3), 2]
+    outside = pressed.displacement[top & (away > 9e-3), 2]
+    assert -outside.min() < 0.35 * pressed.travel
+    under = pressed.displacement[top & (away < 3e-3), 2]
     # It gives by pressure over 1000 mu / R, more towards the rim.
-    assert -under.min() == pytest.approx(found.travel, rel=0.03)
+    assert -under.min() == pytest.approx(pressed.travel, rel=0.03)
 
 
 def test_skin_that_is_drawn_in_under_a_rim_stays_below_the_face() -> None:
     body, punch, force = _block(0.3), Tip(FlatFace(4e-3), TOP, DOWN), 1.5
-    found = press_finite(body, punch, force)
+    pressed = press_finite(body, punch, force)
     nodes, facets = body.solid.nodes, body.solid.facets
     top = facets[(nodes[facets][:, :, 2] == SIDE).all(axis=1)]
     shape = quadratic_shapes(facet_samples())
-    skin = np.einsum("vq,fva->fqa", shape, (nodes + found.displacement)[top]).reshape(-1, 3)
-    entered = -punch.distance(found.travel, skin)[0]
+    skin = np.einsum("vq,fva->fqa", shape, (nodes + pressed.displacement)[top]).reshape(-1, 3)
+    entered = -punch.distance(pressed.travel, skin)[0]
     under = entered[punch.radial_distance(skin) < 0.95 * punch.radius]
     # Springs give by a thousandth of the radius where the pressure is mu; in elements as large as
     # the face it is less than six times its mean.
@@ -121,14 +123,14 @@ def test_slopes_are_those_of_the_presses(tip: Tip) -> None:
     mu, lame = body.lame
     press = press_finite(body, tip, force, law=law)
     others = [law(mu, lame + mu), yeoh(3.0)(mu, lame)]
-    found = press_slopes(body, tip, force, press, law=law(mu, lame), others=others)
+    derivatives = press_slopes(body, tip, force, press, law=law(mu, lame), others=others)
     step = 2e-3
     laws = {
         "force": lambda _: law,
         "lame": lambda share: lambda mu, lame: law(mu, lame + share * mu),
         "stiffening": lambda share: yeoh(2.0 + share),
     }
-    for column, (by, changed) in zip(found.T, laws.items(), strict=True):
+    for column, (by, changed) in zip(derivatives.T, laws.items(), strict=True):
         ends = [
             press_finite(
                 body,
@@ -161,7 +163,9 @@ def test_a_plate_on_a_block_that_sags_is_the_closed_form(direction: float) -> No
     and the weight above: P = mu (stretch - 1 / stretch); on a block that stands or hangs."""
     body, plate, pull = _block(0.0), Tip(FlatFace(2 * SIDE), TOP, DOWN), 0.1 * SHEAR / SIDE
     force = 0.1 * SIDE**2 * SHEAR
-    found = press_finite(body, plate, force, sag=_sag(body, np.array([0.0, 0.0, direction * pull])))
+    pressed = press_finite(
+        body, plate, force, sag=_sag(body, np.array([0.0, 0.0, direction * pull]))
+    )
     height = body.solid.nodes[:, 2]
     z = np.linspace(0.0, SIDE, 2001)
     pressure = force / SIDE**2 - direction * pull * (SIDE - z)
@@ -170,18 +174,18 @@ def test_a_plate_on_a_block_that_sags_is_the_closed_form(direction: float) -> No
     # Quadratic elements of a third of the side: of what the weight adds, which is 5 % of the side
     # and nearly a parabola, little is left.
     expected = np.interp(height, z, moved)
-    np.testing.assert_allclose(found.displacement[:, 2], expected, atol=2e-5 * SIDE)
-    assert np.abs(found.displacement[:, :2]).max() < 2e-5 * SIDE
+    np.testing.assert_allclose(pressed.displacement[:, 2], expected, atol=2e-5 * SIDE)
+    assert np.abs(pressed.displacement[:, :2]).max() < 2e-5 * SIDE
 
 
 @pytest.mark.parametrize("tool", [Sphere(6e-3), FlatFace(4e-3)])
 def test_no_weight_is_no_change(tool: Sphere | FlatFace) -> None:
     body, tip = _block(0.3), Tip(tool, TOP, DOWN)
-    found, light = (
+    heavy, light = (
         press_finite(body, tip, 0.3, sag=sag) for sag in (None, _sag(body, np.zeros(3)))
     )
-    np.testing.assert_array_equal(found.displacement, light.displacement)
-    assert found.travel == light.travel
+    np.testing.assert_array_equal(heavy.displacement, light.displacement)
+    assert heavy.travel == light.travel
 
 
 def test_little_weight_is_superposed() -> None:
@@ -189,8 +193,8 @@ def test_little_weight_is_superposed() -> None:
     skin that weight has turned, however lightly it is pressed."""
     body, ball, force = _block(0.3), Tip(Sphere(6e-3), TOP, DOWN), 1e-3
     alone, sag = press_finite(body, ball, force), _sag(body, np.array([50.0, 0.0, -100.0]))
-    found = press_finite(body, ball, force, sag=sag)
-    left = found.displacement - alone.displacement - sag.displacement
+    pressed = press_finite(body, ball, force, sag=sag)
+    left = pressed.displacement - alone.displacement - sag.displacement
     # The push's strain is about a thousandth, the ball's depth over the size of an element.
     assert np.abs(left).max() < 2e-3 * np.abs(sag.displacement).max()
 
@@ -207,18 +211,20 @@ def test_slopes_with_weight_are_those_of_the_presses(tip: Tip) -> None:
     sag = _sag(body, WEIGHT, law)
     press = press_finite(body, tip, 0.8, law=law, sag=sag)
     others = [law(mu, lame + mu), yeoh(3.0)(mu, lame)]
-    found = press_slopes(body, tip, 0.8, press, law=law(mu, lame), others=others, sag=sag)
+    derivatives = press_slopes(body, tip, 0.8, press, law=law(mu, lame), others=others, sag=sag)
 
     def pressed(share: float, more: float, stiffer: float) -> np.ndarray:
         def other(mu: float, lame: float) -> Law:
             return yeoh(2.0 + stiffer)(mu, lame + more * mu)
 
         scale = np.exp(share)
-        own = _sag(body, scale * WEIGHT, other)
-        return press_finite(body, tip, 0.8 * scale, law=other, start=press, sag=own).displacement
+        sag_of_body = _sag(body, scale * WEIGHT, other)
+        return press_finite(
+            body, tip, 0.8 * scale, law=other, start=press, sag=sag_of_body
+        ).displacement
 
     step = 2e-3
-    for column, change in zip(found.T, step * np.eye(3), strict=True):
+    for column, change in zip(derivatives.T, step * np.eye(3), strict=True):
         expected = (pressed(*change) - pressed(*-change)).ravel() / (2 * step)
         # The tangent leaves out how normals turn under the ball, how skin is drawn in under the rim
         # of the face, and that its rim goes aside with the weight.

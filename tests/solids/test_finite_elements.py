@@ -125,14 +125,14 @@ def lame_error(poisson, subdivisions, layers):
         lambda x: np.linalg.norm(x, axis=0) < 0.5 * (inner + outer),
         order=4,
     )
-    found = solve_load(body, load)
+    displacement = solve_load(body, load)
     # u = A r + B / r^2 with u(outer) = 0 and radial stress -p at the inner radius.
     lame = 2 * SHEAR * poisson / (1 - 2 * poisson)
     bulk = 3 * lame + 2 * SHEAR
     b = pressure / (bulk / outer**3 + 4 * SHEAR / inner**3)
     r = np.linalg.norm(solid.nodes, axis=1)
     exact = (b / r**2 - b * r / outer**3)[:, None] * solid.nodes / r[:, None]
-    return np.linalg.norm(found - exact) / np.linalg.norm(exact)
+    return np.linalg.norm(displacement - exact) / np.linalg.norm(exact)
 
 
 @pytest.mark.parametrize(("poisson", "limit"), [(0.2, 0.02), (0.45, 0.04), (0.499, 0.18)])
@@ -156,8 +156,8 @@ def test_stiffness_is_that_of_another_program(block, poisson):
     other = linear_elasticity(lame, SHEAR).assemble(basis)
     field = np.random.default_rng(1).normal(size=(len(block.nodes), 3))
     # The other program numbers its unknowns otherwise: tie them by place and component.
-    place = basis.doflocs.T
-    node = np.linalg.norm(place[:, None] - block.nodes[None], axis=2).argmin(axis=1)
+    position = basis.doflocs.T
+    node = np.linalg.norm(position[:, None] - block.nodes[None], axis=2).argmin(axis=1)
     component = np.empty(len(node), dtype=int)
     for i in range(3):
         component[np.concatenate([basis.nodal_dofs[i], basis.edge_dofs[i]])] = i
@@ -178,10 +178,10 @@ def test_half_ball_of_other_programs(shared_data, name, limit):
     held = held_nodes(solid, support)
     body = make_body(solid, held, shear_modulus=shear, poisson_ratio=nu)
     load = smooth_patch(solid, data["load_point"], float(data["patch_radius"]), force)
-    found = solve_load(body, load)
-    at_vertices = surface_values(solid, data["V"].astype(float)) @ found
+    displacement = solve_load(body, load)
+    at_vertices = surface_values(solid, data["V"].astype(float)) @ displacement
     error = np.linalg.norm(at_vertices - data["uV"]) / np.linalg.norm(data["uV"])
-    work = (load * found).sum() / float(data["compliance"]) - 1.0
+    work = (load * displacement).sum() / float(data["compliance"]) - 1.0
     print(error, work)
     assert error < limit
     # Work is an integral: it is closer than single points.
@@ -190,8 +190,8 @@ def test_half_ball_of_other_programs(shared_data, name, limit):
 
 def test_values_at_the_surface_are_quadratic(block):
     rng = np.random.default_rng(2)
-    place = rng.uniform(size=(50, 2)) * SIZE[:2]
-    points = np.column_stack([place, np.full(50, SIZE[2])])
+    flat = rng.uniform(size=(50, 2)) * SIZE[:2]
+    points = np.column_stack([flat, np.full(50, SIZE[2])])
 
     def field(x):
         return 1.0 + 3.0 * x[:, 0] + 200.0 * x[:, 0] * x[:, 1] - 150.0 * x[:, 1] ** 2 + x[:, 2]
@@ -248,11 +248,11 @@ def test_factor_solves_and_its_halves_make_the_inverse(ball):
     matrix = free_part(stiffness(ball, 0.4), held)
     factor = factorise(matrix, ball.nodes[~held])
     right = np.random.default_rng(3).normal(size=(matrix.shape[0], 2))
-    found = factor.solve(right)
+    solution = factor.solve(right)
     # Rounding times the condition number of about 1e4.
-    np.testing.assert_allclose(matrix @ found, right, atol=1e-10)
+    np.testing.assert_allclose(matrix @ solution, right, atol=1e-10)
     half = factor.half_solve(right)
-    np.testing.assert_allclose(half.T @ half, right.T @ found, rtol=1e-10)
+    np.testing.assert_allclose(half.T @ half, right.T @ solution, rtol=1e-10)
 
 
 def test_held_nodes_are_those_of_the_faces_on_the_triangles(block):
@@ -293,9 +293,11 @@ def test_a_half_space_gives_under_a_load_as_in_closed_form(cut):
     """Under pressure 1 - s^2 by Hankel's transform: the integral of (8 J_2(k) / k^2)^2 over k is
     2.0695. A patch of which an edge cuts a third: a plain sum over many points."""
     size, radius = (0.06, 0.06, 0.03), 9e-3
-    place = np.array([0.003 if cut else 0.03, 0.03, 0.03])
+    point = np.array([0.003 if cut else 0.03, 0.03, 0.03])
     solid = filled(box(size, cells=6), edge=6e-3)
-    found = half_space_compliance(solid, place, radius, lambda s: np.clip(1.0 - s**2, 0.0, None))
+    compliance = half_space_compliance(
+        solid, point, radius, lambda s: np.clip(1.0 - s**2, 0.0, None)
+    )
     expected = 2.0695 / (2.0 * np.pi * radius)
     if cut:
         x, y = np.meshgrid((np.arange(-10, 30) + 0.5) / 30, (np.arange(-30, 30) + 0.5) / 30)
@@ -308,4 +310,4 @@ def test_a_half_space_gives_under_a_load_as_in_closed_form(cut):
         inverse = 1.0 / apart + 1.0 / (12.0 * 30**2 * apart**3)
         np.fill_diagonal(inverse, 30 * 2.9732)
         expected = float(weight @ inverse @ weight) / (2.0 * np.pi * radius)
-    assert found == pytest.approx(expected, rel=0.01)
+    assert compliance == pytest.approx(expected, rel=0.01)

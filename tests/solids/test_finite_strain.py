@@ -74,9 +74,9 @@ def test_tangent_is_the_slope_of_the_forces(block, basis, law):
         internal_forces(law(*block.lame), basis, at + s * step * along) for s in (1, -1)
     )
     matrix = tangent(law(*block.lame), basis, at)
-    found = (matrix @ along.ravel()).reshape(-1, 3)
+    change = (matrix @ along.ravel()).reshape(-1, 3)
     other = (ahead - behind) / (2 * step)
-    np.testing.assert_allclose(found, other, atol=1e-6 * np.abs(other).max())
+    np.testing.assert_allclose(change, other, atol=1e-6 * np.abs(other).max())
 
 
 @LAWS
@@ -100,7 +100,9 @@ def test_a_turned_body_has_no_energy(block, basis, law):
 def test_shape_and_volume_are_apart_in_the_split_law() -> None:
     law = SplitNeoHookean(SHEAR, 2 * SHEAR)
     larger, sheared = 1.2 * np.eye(3), np.eye(3) + 0.5 * np.eye(3, k=2)
-    swollen, slid = (float(law.density(one[:, :, None, None]).item()) for one in (larger, sheared))
+    swollen, slid = (
+        float(law.density(gradient[:, :, None, None]).item()) for gradient in (larger, sheared)
+    )
     # K is 8/3 mu; rounding.
     assert swollen == pytest.approx(0.5 * (8 / 3 * SHEAR) * (1.2**3 - 1.0) ** 2, rel=1e-12)
     assert slid == pytest.approx(0.5 * SHEAR * 0.5**2, rel=1e-12)
@@ -115,12 +117,12 @@ def test_uniaxial_stretch_is_in_equilibrium(block, basis, stretch, poisson, stif
     + 2 mu stiffening (I - 3) (J^(-2/3) l_i - I / (3 l_i))."""
     lame = 2 * SHEAR * poisson / (1 - 2 * poisson)
 
-    def nominal_stress(own, side):
+    def nominal_stress(along, side):
         volume = stretch * side**2
         scale = volume ** (-2 / 3)
         shape = (stretch**2 + 2 * side**2) * scale
-        hooke = SHEAR * (own - 1 / own) + lame * np.log(volume) / own
-        return hooke + 2 * SHEAR * stiffening * (shape - 3) * (scale * own - shape / (3 * own))
+        hooke = SHEAR * (along - 1 / along) + lame * np.log(volume) / along
+        return hooke + 2 * SHEAR * stiffening * (shape - 3) * (scale * along - shape / (3 * along))
 
     side = brentq(lambda b: nominal_stress(b, b), 0.3, 3.0, xtol=1e-15)
     nominal = nominal_stress(stretch, side)
@@ -155,16 +157,16 @@ def test_drawn_block_without_sideways_strain_is_the_closed_form(block, basis):
     stretch = 1.3
     # At nu = 0 lambda is 0, and free sides stay where they are (b = 1).
     force = SHEAR * (stretch - 1 / stretch) * 0.03 * 0.02
-    found = solve_finite(body, top_load(block, np.array([0.0, 0.0, force])))
+    solved = solve_finite(body, top_load(block, np.array([0.0, 0.0, force])))
     exact = (stretch - 1.0) * block.solid.nodes[:, 2]
-    np.testing.assert_allclose(found[:, 2], exact, atol=1e-9 * 0.02)
-    np.testing.assert_allclose(found[:, :2], 0.0, atol=1e-9 * 0.02)
-    reaction = internal_forces(NeoHookean(*body.lame), basis, found)[body.held].sum(axis=0)
+    np.testing.assert_allclose(solved[:, 2], exact, atol=1e-9 * 0.02)
+    np.testing.assert_allclose(solved[:, :2], 0.0, atol=1e-9 * 0.02)
+    reaction = internal_forces(NeoHookean(*body.lame), basis, solved)[body.held].sum(axis=0)
     np.testing.assert_allclose(reaction, [0.0, 0.0, -force], atol=1e-9 * abs(force))
     stored = 0.5 * SHEAR * (stretch**2 - 1) - SHEAR * np.log(stretch)
     law = NeoHookean(*body.lame)
     # Of the load 1e-9 may be left.
-    assert energy(law, basis, found) == pytest.approx(stored * 0.03 * 0.02 * 0.02, rel=3e-9)
+    assert energy(law, basis, solved) == pytest.approx(stored * 0.03 * 0.02 * 0.02, rel=3e-9)
 
 
 def test_a_sheared_block_stiffens_as_it_says() -> None:
@@ -193,7 +195,7 @@ def test_slopes_are_those_of_the_solutions(block):
     law = yeoh(2.0)
     at = solve_finite(block, load, law=law)
     others = [law(mu, lame + 1e4), yeoh(3.0)(mu, lame)]
-    found = load_slopes(block, load, at, law=law(mu, lame), others=others)
+    derivatives = load_slopes(block, load, at, law=law(mu, lame), others=others)
     step = 1e-3
 
     def change(share: float, factor: float, by: str) -> np.ndarray:
@@ -204,7 +206,7 @@ def test_slopes_are_those_of_the_solutions(block):
         }[by]
         return solve_finite(block, factor * load, law=used, start=at).ravel()
 
-    for column, by in zip(found.T, ("load", "lame", "stiffening"), strict=True):
+    for column, by in zip(derivatives.T, ("load", "lame", "stiffening"), strict=True):
         ahead, behind = (
             change(s * step, np.exp(s * step) if by == "load" else 1.0, by) for s in (1, -1)
         )
@@ -226,8 +228,8 @@ def test_small_loads_converge_to_the_linear_body_at_first_order(block):
     for force in (0.4, 0.2):
         load = top_load(block, np.array([0.5 * force, 0.0, -force]))
         linear = solve_load(block, load)
-        found = solve_finite(block, load)
-        gap = np.linalg.norm(found - linear)
+        solved = solve_finite(block, load)
+        gap = np.linalg.norm(solved - linear)
         difference.append(gap / np.linalg.norm(linear))
     assert difference[0] / difference[1] == pytest.approx(2.0, abs=0.1)
 
@@ -247,12 +249,12 @@ def test_half_ball_pressed_far_goes_farther_than_linear(shared_data):
     unit = smooth_patch(solid, data["load_point"], 0.0055, np.array([0.0, 0.0, -1.0]))
     pole = np.linalg.norm(solid.nodes - data["load_point"], axis=1).argmin()
     force = 2e-3 / -solve_load(body, unit)[pole, 2]
-    found = solve_finite(body, force * unit)
-    inner = internal_forces(NeoHookean(*body.lame), quadratic_basis(solid), found)
+    solved = solve_finite(body, force * unit)
+    inner = internal_forces(NeoHookean(*body.lame), quadratic_basis(solid), solved)
     reaction = inner[body.held].sum(axis=0)
     # Forces balance to Newton's 1e-9 of the load.
     np.testing.assert_allclose(reaction, [0.0, 0.0, force], atol=1e-8 * force)
-    assert 1.08 < -found[pole, 2] / 2e-3 < 1.22
+    assert 1.08 < -solved[pole, 2] / 2e-3 < 1.22
 
 
 def test_a_load_beyond_bearing_is_refused(block):
@@ -278,9 +280,9 @@ class Hollow:
 
 
 def test_steps_are_shortened_until_it_rests() -> None:
-    found = find_equilibrium(Hollow(), np.array([5.0]), tolerance=1e-9)
-    assert found is not None
-    assert abs(found[0][0]) < 1e-9
+    equilibrium = find_equilibrium(Hollow(), np.array([5.0]), tolerance=1e-9)
+    assert equilibrium is not None
+    assert abs(equilibrium[0][0]) < 1e-9
 
 
 def test_an_unstable_place_is_said() -> None:
@@ -308,19 +310,19 @@ class Stiffening:
 def test_a_tangent_is_kept_while_it_serves() -> None:
     soft, hard = Stiffening(0.3), Stiffening(3.0)
     for potential in (soft, hard):
-        found = find_equilibrium(potential, np.zeros(1), tolerance=1e-12)
-        assert found is not None
-        assert abs(potential.forces(found[0])[0]) <= 1e-12
+        equilibrium = find_equilibrium(potential, np.zeros(1), tolerance=1e-12)
+        assert equilibrium is not None
+        assert abs(potential.forces(equilibrium[0])[0]) <= 1e-12
     assert soft.tangents == 1
     assert hard.tangents > 1
     # One that is given, too, and none that leads nowhere.
     for stiff, tangents in ((1.5, 0), (1e9, 1), (-1.0, 1)):
         potential = Stiffening(0.3)
-        found = find_equilibrium(
+        equilibrium = find_equilibrium(
             potential, np.zeros(1), tolerance=1e-12, solver=lambda x, k=stiff: x / k
         )
-        assert found is not None
-        assert abs(potential.forces(found[0])[0]) <= 1e-12
+        assert equilibrium is not None
+        assert abs(potential.forces(equilibrium[0])[0]) <= 1e-12
         assert potential.tangents == tangents
 
 
@@ -331,7 +333,7 @@ def test_a_load_is_put_on_in_parts(bears: float, done: float) -> None:
     def find(share: float, at: np.ndarray) -> np.ndarray | None:
         return np.array([share]) if share <= min(at[0] + 0.3, bears) else None
 
-    found, reached = find_in_increments(find, np.zeros(1))
+    end, reached = find_in_increments(find, np.zeros(1))
     # The last part tried is the smallest, a thousandth.
     assert reached == pytest.approx(done, abs=2e-3)
-    assert found[0] == reached
+    assert end[0] == reached

@@ -33,9 +33,9 @@ def compliance(body, log_modulus, forces):
 def test_one_modulus_is_the_homogeneous_body(body, forces):
     other = make_body(body.solid, body.held, shear_modulus=np.exp(0.7), poisson_ratio=RATIO)
     moved = with_moduli(body, np.full(body.weight.size, 0.7), RATIO).displacements(forces)
-    for load, found in zip(forces.T, moved.T, strict=True):
+    for load, displacement in zip(forces.T, moved.T, strict=True):
         expected = solve_load(other, load.reshape(-1, 3)).ravel()
-        assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
+        assert np.abs(displacement - expected).max() < 1e-10 * np.abs(expected).max()
 
 
 def test_volumes_fill_the_block(body):
@@ -69,8 +69,8 @@ def test_both_ways_to_the_derivatives_agree(body, forces):
     at = with_moduli(body, field, RATIO)
     moved, seen = at.displacements(forces), np.eye(len(forces))[:, 60:90]
     expected = at.sensitivities(at.displacements(seen), moved, basis)
-    found = at.changes(moved, basis)[:, 60:90]
-    assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
+    change = at.changes(moved, basis)[:, 60:90]
+    assert np.abs(change - expected).max() < 1e-10 * np.abs(expected).max()
 
 
 def test_scaling_the_modulus_divides_the_displacement(body, forces):

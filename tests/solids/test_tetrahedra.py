@@ -94,8 +94,8 @@ def test_where_a_sharp_edge_turns_a_corner_is_kept():
     upper = np.column_stack([k, (k + 1) % count, np.full(count, count)])
     lower = np.column_stack([(k + 1) % count, k, np.full(count, count + 1)])
     solid = filled(TriangleMesh(vertices, np.vstack([upper, lower])), edge=0.013)
-    for one in corner:
-        assert np.linalg.norm(solid.nodes - one, axis=1).min() < 1e-12
+    for tip in corner:
+        assert np.linalg.norm(solid.nodes - tip, axis=1).min() < 1e-12
 
 
 def test_a_reentrant_edge_is_kept():

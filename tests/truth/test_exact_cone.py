@@ -40,7 +40,7 @@ def test_a_right_model_calls_itself_right(estimate: Estimate) -> None:
 
 
 def test_no_posterior_is_wider_than_its_prior(estimate: Estimate) -> None:
-    every = [*estimate.errors, *(error for one in estimate.probes for error in one.errors)]
+    every = [*estimate.errors, *(error for probe in estimate.probes for error in probe.errors)]
     assert len(every) > 30
     assert max(error.std / error.prior_std for error in every) <= 1.0 + 1e-9
     # What displacements do not show stays as it was told: the gain is not moved.
@@ -51,16 +51,16 @@ def test_no_posterior_is_wider_than_its_prior(estimate: Estimate) -> None:
 @pytest.mark.slow
 def test_with_an_exact_sensor_the_mesh_is_what_errs(cone: Session) -> None:
     errors = replace(cone.errors, force_gain=0.0, force=0.0, force_direction=0.0)
-    found = fit_session(replace(cone, errors=errors)).estimate
-    assert found.status is Status.OK
-    assert found.young_modulus.value == pytest.approx(YOUNG, rel=0.003)
-    assert found.young_modulus.std < 0.004 * YOUNG
+    fitted = fit_session(replace(cone, errors=errors)).estimate
+    assert fitted.status is Status.OK
+    assert fitted.young_modulus.value == pytest.approx(YOUNG, rel=0.003)
+    assert fitted.young_modulus.std < 0.004 * YOUNG
 
 
 def test_a_force_that_is_5_per_cent_off_is_left_out(cone: Session) -> None:
     wrong = replace(cone.probings[6], force=1.05 * cone.probings[6].force)
     probings = (*cone.probings[:6], wrong, cone.probings[7])
-    found = fit_session(replace(cone, probings=probings)).estimate
-    assert found.status is Status.OK
-    assert [note for note in found.notes if "left out" in note and "'n07' by" in note]
-    assert found.young_modulus.value == pytest.approx(YOUNG, rel=0.005)
+    fitted = fit_session(replace(cone, probings=probings)).estimate
+    assert fitted.status is Status.OK
+    assert [note for note in fitted.notes if "left out" in note and "'n07' by" in note]
+    assert fitted.young_modulus.value == pytest.approx(YOUNG, rel=0.005)

@@ -25,7 +25,7 @@ def compared(shared_data):
     model = make_object_model(replace(session, probings=probings))
     x = solve(factorise(model.system, POISSON), model.right.at(POISSON)) / SHEAR
     equations = model.tips.equations
-    own = equations.own[0] + POISSON * equations.own[1]
+    diagonal = equations.own[0] + POISSON * equations.own[1]
     matrix = equations.matrix[0] + POISSON * equations.matrix[1]
     right = equations.by_point(model.tips.right.at(POISSON)) / SHEAR
     fields, tips = [], []
@@ -33,12 +33,12 @@ def compared(shared_data):
         columns = slice(3 * patch, 3 * patch + 3)
         unknowns = x[:, columns] @ probing.force
         state = sorted_state(model.system, unknowns, SHEAR)
-        place = probing.displacement.surface
+        surface = probing.displacement.surface
         nodes = model.system.surface.displacement
-        at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
+        at_points = interpolation_matrix(nodes, surface.triangle, surface.barycentric)
         fields.append((at_points @ state.displacement, probing.displacement.displacement))
         left = matrix[patch] @ unknowns - right[patch][:, columns] @ probing.force
-        tips.append((np.linalg.solve(own[patch], left), probing.tip_displacement))
+        tips.append((np.linalg.solve(diagonal[patch], left), probing.tip_displacement))
     return fields, tips
 
 
@@ -55,9 +55,9 @@ def test_the_field_around_every_probing(compared):
 
 @pytest.mark.slow
 def test_the_scale_of_the_field_is_the_stiffness(compared):
-    found, true = (np.concatenate([pair[k].ravel() for pair in compared[0]]) for k in (0, 1))
+    predicted, true = (np.concatenate([pair[k].ravel() for pair in compared[0]]) for k in (0, 1))
     # A wrong scale would be a wrong modulus: the issue asks for 0.5 % in E.
-    assert abs(found @ true / (true @ true) - 1) < 2e-3
+    assert abs(predicted @ true / (true @ true) - 1) < 2e-3
 
 
 @pytest.mark.slow

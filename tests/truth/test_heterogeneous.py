@@ -17,12 +17,12 @@ BALL, HELD_OUT = np.array([0.010, -0.004, 0.044]), ("n11", "n12", "n13", "n14", 
 def errors(session, predictions):
     """Relative error of each push away from its tool."""
     points = {probing.name: probing.contact.point for probing in session.probings}
-    found = []
-    for each in predictions:
-        away = np.linalg.norm(each.position - points[each.name], axis=1) > 1.3 * 6e-3
-        off = each.predicted[away] - each.measured[away]
-        found.append(np.linalg.norm(off) / np.linalg.norm(each.measured[away]))
-    return np.array(found)
+    shares = []
+    for prediction in predictions:
+        away = np.linalg.norm(prediction.position - points[prediction.name], axis=1) > 1.3 * 6e-3
+        off = prediction.predicted[away] - prediction.measured[away]
+        shares.append(np.linalg.norm(off) / np.linalg.norm(prediction.measured[away]))
+    return np.array(shares)
 
 
 @pytest.mark.slow
@@ -38,7 +38,7 @@ def test_what_is_inside_is_found_and_predicted(shared_data):
     # Not asked for: the data themselves lead there.
     result = fit_session(fitted, material=Material.AUTO)
     assert result.estimate.status is Status.HETEROGENEOUS
-    before, after = (errors(held, each.predict(held)) for each in (plain, result))
+    before, after = (errors(held, result_of.predict(held)) for result_of in (plain, result))
     assert np.median(after) < 0.3 * np.median(before)
     assert after.max() < 0.01
     (ball,) = result.estimate.field.parts
@@ -69,10 +69,10 @@ def test_a_known_ball_has_its_modulus(shared_data):
     assert estimate.status is Status.OK
     # The rest has 50 kPa, the ball five times as much: both within three sigma.
     assert estimate.young_modulus.value == pytest.approx(5e4, abs=3 * estimate.young_modulus.std)
-    (found,) = estimate.regions
-    assert found.identifiable
-    assert found.ratio.value == pytest.approx(5.0, abs=3 * found.ratio.std)
+    (region,) = estimate.regions
+    assert region.identifiable
+    assert region.ratio.value == pytest.approx(5.0, abs=3 * region.ratio.std)
     # Stiffer than five times, a ball hardly moves less: the logarithm is known to a sixth.
-    assert found.ratio.std < 0.25 * found.ratio.value
+    assert region.ratio.std < 0.25 * region.ratio.value
     # As cameras measure them; a body that is the same everywhere is off by several per cent.
     assert errors(held, result.predict(held)).max() < 0.01

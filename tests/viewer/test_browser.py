@@ -47,7 +47,7 @@ def test_the_mesh_is_there_and_no_other_host_is_asked(page, viewer):
     until(lambda: drawn(page))
     asked = {address.removeprefix("blob:") for address in page.asked}
     home = f"http://{urlsplit(viewer.address).netloc}/"
-    assert all(one.startswith((home, "data:")) for one in asked), asked
+    assert all(address.startswith((home, "data:")) for address in asked), asked
 
 
 def test_a_name_is_shown_as_it_is_and_does_nothing(page, viewer):

@@ -50,10 +50,10 @@ def test_a_face_of_a_box_ends_at_its_edges():
 
 def test_near_is_a_ball():
     mesh = box(size=(0.04, 0.04, 0.04), cells=6)
-    found = triangles_near(mesh, np.array([0.02, 0.02, 0.04]), 0.01)
+    near = triangles_near(mesh, np.array([0.02, 0.02, 0.04]), 0.01)
     middle = mesh.vertices[mesh.triangles].mean(axis=1)
     inside = np.linalg.norm(middle - [0.02, 0.02, 0.04], axis=1) <= 0.01
-    assert 0 < len(found) == inside.sum()
+    assert 0 < len(near) == inside.sum()
 
 
 def test_what_was_set_is_read_back_and_the_rest_stays(opened):
@@ -68,8 +68,10 @@ def test_what_was_set_is_read_back_and_the_rest_stays(opened):
     assert again.probings[0].contact.radius == opened.probings[0].contact.radius
     written = opened.path.read_text()
     assert "# a comment of a person" in written
-    kept = [line for line in text.splitlines() if "plane" not in line and "contact" not in line]
-    assert [line for line in kept if line not in written.splitlines()] == []
+    unchanged = [
+        line for line in text.splitlines() if "plane" not in line and "contact" not in line
+    ]
+    assert [line for line in unchanged if line not in written.splitlines()] == []
 
 
 def test_lengths_are_written_in_the_session_s_unit(opened):

@@ -72,8 +72,8 @@ def test_a_picture_that_is_not_there_is_none(seen):
 
 
 def test_the_view_from_a_camera_is_its_own():
-    turn, place, fov = camera_view_pose(camera("a"))
-    np.testing.assert_allclose(place, [20.0, 20.0, 1e3 * HEIGHT], atol=1e-9)
+    turn, position, fov = camera_view_pose(camera("a"))
+    np.testing.assert_allclose(position, [20.0, 20.0, 1e3 * HEIGHT], atol=1e-9)
     # Half a turn about x: it looks down.
     np.testing.assert_allclose(np.abs(turn), [0.0, 1.0, 0.0, 0.0], atol=1e-9)
     assert np.tan(0.5 * fov) == pytest.approx(150.0 / FOCAL)
@@ -82,18 +82,18 @@ def test_the_view_from_a_camera_is_its_own():
 def test_probings_at_one_place_have_one_label():
     here, there = np.zeros(3), np.array([10.0, 0.0, 0.0])
     starts = {"a": (here, ""), "b": (here + 0.1, "b: 2 N"), "c": (there, "")}
-    (first, place), (second, _) = merged_labels(starts, 1.0)
+    (first, position), (second, _) = merged_labels(starts, 1.0)
     assert (first, second) == ("b: 2 N and 1 more", "c")
-    np.testing.assert_array_equal(place, here)
+    np.testing.assert_array_equal(position, here)
 
 
 def test_the_rms_difference_has_a_fitting_unit(cube_session):
     (shown,) = shown_probings(read_subject(cube_session))
     field = np.full_like(shown.points, 2e-3)
-    one = replace(shown, displacement=field, predicted=0 * field, weight=np.ones_like(field))
+    fitted = replace(shown, displacement=field, predicted=0 * field, weight=np.ones_like(field))
     # The square root of three times 2 mm.
-    assert rms_text(one).endswith(": 3.46 mm")
-    assert rms_text(replace(one, predicted=0.999 * field)).endswith(": 3.46 µm")
+    assert rms_text(fitted).endswith(": 3.46 mm")
+    assert rms_text(replace(fitted, predicted=0.999 * field)).endswith(": 3.46 µm")
 
 
 def test_the_cross_is_where_the_constants_are():

@@ -39,10 +39,10 @@ def drawn_by_the_model(cube_session):
     (plain,) = shown_probings(Subject(session, None, None, None))
     moved = np.zeros_like(session.mesh.vertices)
     moved[:, 2] = -0.25 * session.mesh.vertices[:, 0]
-    one = replace(plain, predicted=plain.displacement, surface=moved)
+    fitted = replace(plain, predicted=plain.displacement, surface=moved)
     mesh = session.mesh
     surface = FittedSurface(
-        session.name, mesh.vertices, mesh.triangles, session.held_triangles, (one,),
+        session.name, mesh.vertices, mesh.triangles, session.held_triangles, (fitted,),
         sample_result(session).likelihood,
     )  # fmt: skip
     return Subject(session, estimate, surface, None)
@@ -102,7 +102,7 @@ def test_a_film_on_a_full_disk_is_refused(subject, tmp_path, monkeypatch, name, 
     ):
         write_turntable(subject, path)
     assert path.read_bytes() == b"an older film"
-    assert sorted(one.name for one in tmp_path.glob("*turn*")) == [name, whole.name]
+    assert sorted(file.name for file in tmp_path.glob("*turn*")) == [name, whole.name]
 
 
 def test_other_kinds_of_files_and_probings_are_refused(subject, tmp_path):

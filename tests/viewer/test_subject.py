@@ -68,15 +68,15 @@ def test_a_result_shows_the_motion_that_it_keeps_of_the_same_pictures(cube_sessi
 
 def test_the_heading_has_no_number_of_what_the_data_do_not_determine(cube_session):
     session = read_session(cube_session)
-    found = sample_result(session).estimate
+    plain = sample_result(session).estimate
     known = {"shear_modulus": False, "poisson_ratio": False, "young_modulus": True}
-    estimate = replace(found, identifiable=known, status=Status.from_identifiable(known))
+    estimate = replace(plain, identifiable=known, status=Status.from_identifiable(known))
     text = heading(Subject(session, estimate, None, None))
     assert text.startswith("result: Only Young's modulus is determined")
     assert "E = " in text
     assert "nu = " not in text
     assert estimate.status.value not in text
-    assert "nu = " in heading(Subject(session, found, None, None))
+    assert "nu = " in heading(Subject(session, plain, None, None))
 
 
 def test_a_result_whose_session_changed_is_refused(cube_session, tmp_path):

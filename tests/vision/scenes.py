@@ -199,18 +199,18 @@ class Stage:
         below 1e-4 px and the same on both sides.
         """
         rows, columns = SHAPE
-        found: list[np.ndarray] = []
+        cached: list[np.ndarray] = []
 
-        def inverse(place: np.ndarray) -> np.ndarray:
+        def inverse(pixel: np.ndarray) -> np.ndarray:
             # Every texture asks for the same places.
-            if not found:
-                place = place.reshape(rows * columns, -1, 2)
+            if not cached:
+                pixel = pixel.reshape(rows * columns, -1, 2)
                 centre = pixel_grid(SHAPE).reshape(-1, 2)
                 flat, slope = self._solved(camera, centre, motion)
-                source = flat[:, None] + _turned(slope[:, None], place - centre[:, None])
+                source = flat[:, None] + _turned(slope[:, None], pixel - centre[:, None])
                 middle = np.array([columns / 2 - 0.5, rows / 2 - 0.5])
-                found.append((source / PITCH + middle).reshape(-1, 2))
-            return found[0]
+                cached.append((source / PITCH + middle).reshape(-1, 2))
+            return cached[0]
 
         return Warp(inverse)
 

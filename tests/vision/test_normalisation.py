@@ -122,8 +122,8 @@ def test_spread_of_a_sharp_edge(sigma, noise):
     edge = 30.0 + 180.0 * ndtr((0.996 * column + 0.087 * row) / sigma)
     expected = (sigma**2 - 1.0 / 12.0) / np.log(12.0 * sigma**2)
     # Pixels a whole step apart and noise make an edge look a tenth wider than it is.
-    found = point_spread_variance(noisy(edge, noise, 1))
-    assert found == pytest.approx(expected, rel=0.25)
+    variance = point_spread_variance(noisy(edge, noise, 1))
+    assert variance == pytest.approx(expected, rel=0.25)
 
 
 def test_no_camera_is_sharper_than_its_pixels():

@@ -169,8 +169,8 @@ def test_a_smaller_copy_beside_a_picture_is_left_aside(written):
     content = bytearray(_pages(2))
     purpose = struct.pack("<HHII", 254, 4, 1, 2)
     assert content.count(purpose) == 2
-    place = content.rindex(purpose)
-    content[place : place + 12] = struct.pack("<HHII", 254, 4, 1, 1)
+    index = content.rindex(purpose)
+    content[index : index + 12] = struct.pack("<HHII", 254, 4, 1, 1)
     seen = written(bytes(content), suffix=".tif")
     np.testing.assert_array_equal(seen.grey[0], GREY)
 
@@ -443,8 +443,8 @@ def test_a_size_that_no_camera_has_is_refused_before_memory_is_taken(tmp_path):
 @pytest.mark.parametrize("length", [100, 0xF4002F49, 0x7FFFFFFF])
 def test_a_chunk_longer_than_its_file_takes_no_memory(length):
     content = _ramp_file(".png")
-    place = content.index(b"IDAT") - 4
-    damaged = content[:place] + struct.pack(">I", length + len(content)) + content[place + 4 :]
+    index = content.index(b"IDAT") - 4
+    damaged = content[:index] + struct.pack(">I", length + len(content)) + content[index + 4 :]
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(RecordError, match=r"is cut off or damaged.*it has \d+ bytes"):
         decode_picture(damaged)

@@ -150,9 +150,9 @@ def test_beyond_the_fold_there_is_no_ray_and_no_pixel():
     camera = Camera("c0", None, np.diag([100.0, 100.0, 1.0]), terms((k1,)), np.eye(4))
     inside, outside = 0.999, 1.001
     pixels = 100.0 * 2.0 / 3.0 * reach * np.array([[inside, 0.0], [0.0, outside]])
-    found = normalised(camera, pixels)
-    assert 0.9 * reach < found[0, 0] < reach
-    assert np.isnan(found[1]).all()
+    direction_back = normalised(camera, pixels)
+    assert 0.9 * reach < direction_back[0, 0] < reach
+    assert np.isnan(direction_back[1]).all()
     points = np.array([[reach * inside, 0.0, 1.0], [reach * outside, 0.0, 1.0]])
     seen, jacobian = project_jacobian(camera, points)
     np.testing.assert_array_equal(np.isnan(seen).any(axis=1), [False, True])
@@ -166,13 +166,13 @@ def test_inverse_stays_on_the_branch_of_the_axis():
     reach = lens_radius_limit(lens)
     camera = Camera("c0", None, np.diag([500.0, 500.0, 1.0]), lens, np.eye(4))
     radius = np.linspace(0.0, 0.99 * reach, 40)
-    place = 500.0 * radius * (1.0 - 0.9 * radius**2 + 0.35 * radius**4)
+    pixel = 500.0 * radius * (1.0 - 0.9 * radius**2 + 0.35 * radius**4)
     angle = np.linspace(0.0, 6.0, 40)
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    found = normalised(camera, place[:, None] * direction)
+    direction_back = normalised(camera, pixel[:, None] * direction)
     # Near the fold 1e-13 in the picture is some 1e-11 in the ray.
-    np.testing.assert_allclose(found, radius[:, None] * direction, atol=1e-10)
-    beyond = 500.0 * np.array([[1.1 * place.max() / 500.0, 0.0]])
+    np.testing.assert_allclose(direction_back, radius[:, None] * direction, atol=1e-10)
+    beyond = 500.0 * np.array([[1.1 * pixel.max() / 500.0, 0.0]])
     assert np.isnan(normalised(camera, beyond)).all()
 
 

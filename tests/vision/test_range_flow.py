@@ -106,10 +106,10 @@ def test_grid_points_are_those_behind_the_pixels_that_may_be_used() -> None:
     point = np.stack([column, row, 0.5 * column], axis=-1)
     surface = SurfaceMap(point, np.zeros((9, 12), dtype=np.int64))
     shown = row > 2.0
-    pixel, found, tangent = grid_points(surface, shown, vertices, np.array([[0, 1, 2]]), 3)
+    pixel, position, tangent = grid_points(surface, shown, vertices, np.array([[0, 1, 2]]), 3)
     expected = [(c, r) for r in (4, 7) for c in (1, 4, 7, 10)]
     assert [tuple(p) for p in pixel] == expected
-    np.testing.assert_array_equal(found, [[c, r, 0.5 * c] for c, r in expected])
+    np.testing.assert_array_equal(position, [[c, r, 0.5 * c] for c, r in expected])
     along = np.array([2.0, 0.0, 1.0]) / np.sqrt(5.0)
     np.testing.assert_allclose(tangent[:, 0], [along] * 8, atol=1e-15)
     np.testing.assert_allclose(tangent[:, 1], [[0.0, 1.0, 0.0]] * 8, atol=1e-15)

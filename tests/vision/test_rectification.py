@@ -109,15 +109,15 @@ def test_canvas_holds_the_whole_reference_picture(kind):
     row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
     pixels = np.stack([column.ravel(), row.ravel()], axis=1)
     origin, direction = rays(given, pixels)
-    place = project(rectified.cameras[0], origin + direction)
+    pixel = project(rectified.cameras[0], origin + direction)
     rows, columns = rectified.maps[0].shape[1:]
     assert rectified.cameras[0].size == (columns, rows)
     # Origin and size are set by the border itself: rounding only.
-    assert place.min() > -1e-9
-    assert (place.max(axis=0) < [columns - 1 + 1e-9, rows - 1 + 1e-9]).all()
+    assert pixel.min() > -1e-9
+    assert (pixel.max(axis=0) < [columns - 1 + 1e-9, rows - 1 + 1e-9]).all()
     # Not wastefully large either: these turn by little.
     assert rows * columns < 2.0 * SHAPE[0] * SHAPE[1]
-    assert len({place.shape for place in rectified.maps}) == 1
+    assert len({coordinate.shape for coordinate in rectified.maps}) == 1
 
 
 @pytest.mark.parametrize("kind", ["pair", "triple"])
@@ -128,12 +128,12 @@ def test_maps_lead_to_the_pixel_with_the_same_ray(kind):
         rows, columns = sources.shape[1:]
         row, column = np.mgrid[:rows:9, :columns:9].astype(np.float64)
         _, wanted = rays(after, np.stack([column.ravel(), row.ravel()], axis=1))
-        place = sources[:, ::9, ::9].reshape(2, -1).T.astype(np.float64)
-        inside = (place > -0.5).all(axis=1) & (place < [SHAPE[1], SHAPE[0]]).all(axis=1)
+        pixel = sources[:, ::9, ::9].reshape(2, -1).T.astype(np.float64)
+        inside = (pixel > -0.5).all(axis=1) & (pixel < [SHAPE[1], SHAPE[0]]).all(axis=1)
         assert inside.mean() > 0.4
-        _, found = rays(before, place[inside])
+        _, direction = rays(before, pixel[inside])
         # float32 holds a pixel of 300 to 1.5e-5 px, which is 3e-8 of a ray.
-        np.testing.assert_allclose(found, wanted[inside], atol=1e-7)
+        np.testing.assert_allclose(direction, wanted[inside], atol=1e-7)
 
 
 def _rendered(camera, size):
@@ -153,16 +153,16 @@ def test_remapped_pictures_are_those_of_the_rectified_cameras(kind):
     rectified = rectify(given, SHAPE)
     for index, (before, after) in enumerate(zip(given, rectified.cameras, strict=True)):
         taken = _rendered(before, (SHAPE[1], SHAPE[0])).astype(np.float32)
-        found = remapped(rectified, index, taken)
+        picture = remapped(rectified, index, taken)
         wanted = _rendered(after, after.size)
-        inside = np.isfinite(found)
+        inside = np.isfinite(picture)
         assert inside.sum() > 0.7 * taken.size
         # Fifteen pixels in the spline knows nothing of the edge. Its error on a wave of 26 px is
         # (2 pi / 26)^4 / 384 of 50 grey levels, 5e-4; float32 places err by 2e-5 px of 17 levels.
         around, edge = np.ones((31, 31), np.uint8), cv2.BORDER_CONSTANT
         deep = cv2.erode(inside.astype(np.uint8), around, borderType=edge, borderValue=0) > 0
         assert deep.sum() > 0.5 * taken.size
-        assert np.abs(found - wanted)[deep].max() < 4e-3
+        assert np.abs(picture - wanted)[deep].max() < 4e-3
 
 
 def test_rendered_rig_of_three(shared_data):

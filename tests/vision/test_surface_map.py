@@ -157,14 +157,14 @@ def test_the_nearer_of_two_sheets_is_seen_and_hides_the_other():
     shadow = eye + scale * (on_far - eye)
     depth = np.abs(shadow[:, :2]).max(axis=1)
     pixel = 2.5 / 70.0
-    found = visible(seen, camera, on_far, tolerance=1e-3)
+    is_visible = visible(seen, camera, on_far, tolerance=1e-3)
     inside = (_reprojected(camera, on_far) >= 0).all(axis=1)
     inside &= (_reprojected(camera, on_far) <= [63, 47]).all(axis=1)
     assert (inside & (depth > 0.3 + pixel)).sum() > 1000
-    assert np.array_equal(found[depth > 0.3 + pixel], inside[depth > 0.3 + pixel])
-    assert not found[depth < 0.3 - pixel].any()
+    assert np.array_equal(is_visible[depth > 0.3 + pixel], inside[depth > 0.3 + pixel])
+    assert not is_visible[depth < 0.3 - pixel].any()
     # Beside the near sheet, less than a pixel off: hidden as well.
-    assert not found[depth < 0.3].any()
+    assert not is_visible[depth < 0.3].any()
     on_near = np.stack([0.29 * x, 0.29 * y, np.full_like(x, -0.5)], axis=1)
     assert visible(seen, camera, on_near, tolerance=1e-9).all()
 
@@ -194,8 +194,8 @@ def test_only_points_in_front_and_in_the_picture_are_visible():
     points = 2.0 * np.stack([x, y, z], axis=1) - pose[:3, 3]
     # On the same line behind the camera, and nowhere.
     points = np.concatenate([points, -4.0 * points[:1] - 5.0 * pose[:3, 3], [[np.nan, 0.0, 0.0]]])
-    found = visible(seen, camera, points, tolerance=0.0)
-    assert found.tolist() == [True, True, False, False, False, False, False, False]
+    is_visible = visible(seen, camera, points, tolerance=0.0)
+    assert is_visible.tolist() == [True, True, False, False, False, False, False, False]
     assert visible(seen, camera, np.zeros((0, 3)), tolerance=0.0).shape == (0,)
 
 

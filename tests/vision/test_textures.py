@@ -35,8 +35,8 @@ def test_picture_is_the_mean_over_each_pixel_of_the_sum_of_speckles(sigma):
     third = np.array([-1.0, 0.0, 1.0]) / 3.0
     x, y, narrow, peak = texture.speckles.T
     for row, column in ((0, 0), (31, 57), (59, 79)):
-        place = np.array([[column + a, row + b] for a in third for b in third])
-        source = warp.inverse(place)
+        pixel = np.array([[column + a, row + b] for a in third for b in third])
+        source = warp.inverse(pixel)
         square = (source[:, :1] - x) ** 2 + (source[:, 1:] - y) ** 2
         grey = texture.grey((peak * np.exp(-narrow * square)).sum(axis=1).mean())
         # Some dozen speckles are cut off below 4e-5 of their peak, which is about 60 grey levels.

@@ -46,11 +46,11 @@ def _seen(rig, points):
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_exact_pixels_give_the_exact_points(count):
     rig, points = _rig(count), _points()
-    found = triangulate(rig, _seen(rig, points), 0.02)
+    triangulated = triangulate(rig, _seen(rig, points), 0.02)
     # 1e-13 px of rounding times a millimetre per pixel.
-    np.testing.assert_allclose(found.point, points, rtol=0.0, atol=1e-12)
-    assert found.residual.max() < 1e-10
-    assert (found.cameras == count).all()
+    np.testing.assert_allclose(triangulated.point, points, rtol=0.0, atol=1e-12)
+    assert triangulated.residual.max() < 1e-10
+    assert (triangulated.cameras == count).all()
 
 
 def test_noisy_pixels_give_opencvs_optimal_points():
@@ -67,11 +67,11 @@ def test_noisy_pixels_give_opencvs_optimal_points():
     met = cv2.correctMatches(fundamental, pixels[0][None], pixels[1][None])
     flat = cv2.triangulatePoints(*matrices, met[0][0].T, met[1][0].T)
     theirs = (flat[:3] / flat[3]).T
-    found = triangulate(rig, pixels, 0.5)
+    triangulated = triangulate(rig, pixels, 0.5)
     # Their root of a polynomial of degree six is good to 1e-7 m: ours has the smaller residual.
-    np.testing.assert_allclose(found.point, theirs, rtol=0.0, atol=2e-7)
+    np.testing.assert_allclose(triangulated.point, theirs, rtol=0.0, atol=2e-7)
     left = ((_seen(rig, theirs) - pixels) ** 2).sum(axis=(0, 2))
-    assert (4.0 * found.residual**2 <= left * (1.0 + 1e-12)).all()
+    assert (4.0 * triangulated.residual**2 <= left * (1.0 + 1e-12)).all()
 
 
 @pytest.mark.parametrize("sigma", [2.0, 30.0])
@@ -82,12 +82,12 @@ def test_point_is_the_minimum_of_the_weighted_distances(sigma):
     """
     rig = _rig(3)
     pixels = _seen(rig, _points()) + np.random.default_rng(9).normal(0.0, sigma, (3, 100, 2))
-    found = triangulate(rig, pixels, sigma)
+    triangulated = triangulate(rig, pixels, sigma)
     gradient = np.zeros((100, 3))
     for camera, seen in zip(rig.cameras, pixels, strict=True):
-        place, jacobian = project_jacobian(camera, found.point)
-        gradient += np.einsum("nij,ni->nj", jacobian, seen - place) / sigma**2
-    step = np.einsum("nij,nj->ni", found.covariance, gradient)
+        pixel, jacobian = project_jacobian(camera, triangulated.point)
+        gradient += np.einsum("nij,ni->nj", jacobian, seen - pixel) / sigma**2
+    step = np.einsum("nij,nj->ni", triangulated.covariance, gradient)
     # The stop, 1e-12 of 0.6 m, times the slow rate of convergence at this much noise.
     np.testing.assert_allclose(step, 0.0, atol=1e-12 * sigma)
 
@@ -100,8 +100,8 @@ def test_covariance_of_parallel_cameras_is_the_closed_form():
         for name, side in (("l", 1.0), ("r", -1.0))
     )
     rig = Rig(cameras, 0, "here")
-    found = triangulate(rig, _seen(rig, np.zeros((1, 3))), s)
-    sd = np.sqrt(np.diag(found.covariance[0]))
+    triangulated = triangulate(rig, _seen(rig, np.zeros((1, 3))), s)
+    sd = np.sqrt(np.diag(triangulated.covariance[0]))
     # The rows of make_camera have 1.01 f; columns at +-b/2 add a term of second order to x: none
     # at the middle, by symmetry.
     wanted = [z * s / (f * np.sqrt(2.0)), z * s / (1.01 * f * np.sqrt(2.0)), z**2 * s / (f * b)]
@@ -121,8 +121,10 @@ def test_covariance_is_that_of_many_trials():
     noise = np.einsum("cij,cnj->cni", root, rng.normal(size=(3, count, 2)))
     pixels = _seen(rig, point) + noise
     covariance = np.repeat(spread[:, None], count, axis=1)
-    found = triangulate(rig, pixels, covariance)
-    whitened = np.linalg.solve(np.linalg.cholesky(found.covariance[0]), (found.point - point).T)
+    triangulated = triangulate(rig, pixels, covariance)
+    whitened = np.linalg.solve(
+        np.linalg.cholesky(triangulated.covariance[0]), (triangulated.point - point).T
+    )
     # Sampling: variances have a relative sd of sqrt(2 / n), 0.01; four of them.
     np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.04)
     np.testing.assert_allclose(whitened.mean(axis=1), 0.0, atol=0.04)
@@ -132,9 +134,9 @@ def test_residual_is_the_noise_less_the_three_unknowns():
     rig, sigma = _rig(4), 0.1
     points = _points(4000)
     noise = np.random.default_rng(4).normal(0.0, sigma, (4, 4000, 2))
-    found = triangulate(rig, _seen(rig, points) + noise, sigma)
+    triangulated = triangulate(rig, _seen(rig, points) + noise, sigma)
     # Eight coordinates, three unknowns; sampling sd over 20000 degrees of freedom is 0.5 %.
-    mean = np.sqrt((found.residual**2).mean())
+    mean = np.sqrt((triangulated.residual**2).mean())
     assert mean == pytest.approx(sigma * np.sqrt((8 - 3) / 8), rel=0.02)
 
 
@@ -142,9 +144,9 @@ def test_one_sigma_is_the_round_covariance():
     rig = _rig(3)
     pixels = _seen(rig, _points(20)) + np.random.default_rng(5).normal(0.0, 0.1, (3, 20, 2))
     round_one = np.broadcast_to(0.3**2 * np.eye(2), (3, 20, 2, 2)).copy()
-    one, other = triangulate(rig, pixels, 0.3), triangulate(rig, pixels, round_one)
-    np.testing.assert_allclose(one.point, other.point, atol=1e-14)
-    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-10)
+    first, other = triangulate(rig, pixels, 0.3), triangulate(rig, pixels, round_one)
+    np.testing.assert_allclose(first.point, other.point, atol=1e-14)
+    np.testing.assert_allclose(first.covariance, other.covariance, rtol=1e-10)
 
 
 def test_moving_the_object_frame_moves_points_and_covariances():
@@ -154,21 +156,21 @@ def test_moving_the_object_frame_moves_points_and_covariances():
     motion[:3, :3] = cv2.Rodrigues(np.array([1.0, -2.0, 0.5]))[0]
     motion[:3, 3] = [0.3, -0.1, 0.2]
     other = Rig(tuple(moved(camera, motion) for camera in rig.cameras), 0, "here")
-    one, two = triangulate(rig, pixels, 0.1), triangulate(other, pixels, 0.1)
+    first, second = triangulate(rig, pixels, 0.1), triangulate(other, pixels, 0.1)
     turn = motion[:3, :3]
-    np.testing.assert_allclose(two.point, one.point @ turn.T + motion[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(second.point, first.point @ turn.T + motion[:3, 3], atol=1e-12)
     np.testing.assert_allclose(
-        two.covariance, turn @ one.covariance @ turn.T, rtol=1e-6, atol=1e-14
+        second.covariance, turn @ first.covariance @ turn.T, rtol=1e-6, atol=1e-14
     )
-    np.testing.assert_allclose(two.residual, one.residual, atol=1e-10)
+    np.testing.assert_allclose(second.residual, first.residual, atol=1e-10)
 
 
 def test_order_of_the_cameras_does_not_matter():
     rig = _rig(3)
     pixels = _seen(rig, _points()) + np.random.default_rng(7).normal(0.0, 0.1, (3, 100, 2))
     back = Rig(rig.cameras[::-1], 0, "here")
-    one, two = triangulate(rig, pixels, 0.1), triangulate(back, pixels[::-1], 0.1)
-    np.testing.assert_allclose(two.point, one.point, atol=1e-12)
+    first, second = triangulate(rig, pixels, 0.1), triangulate(back, pixels[::-1], 0.1)
+    np.testing.assert_allclose(second.point, first.point, atol=1e-12)
 
 
 def test_cameras_that_do_not_see_a_point_are_left_out():
@@ -177,12 +179,12 @@ def test_cameras_that_do_not_see_a_point_are_left_out():
     pixels[2, 0] = np.nan
     pixels[1:, 1] = np.nan
     pixels[0, 2, 1] = np.nan
-    found = triangulate(rig, pixels, 0.1)
-    np.testing.assert_array_equal(found.cameras, [2, 1, 2, 3])
-    np.testing.assert_allclose(found.point[[0, 2, 3]], points[[0, 2, 3]], atol=1e-12)
+    triangulated = triangulate(rig, pixels, 0.1)
+    np.testing.assert_array_equal(triangulated.cameras, [2, 1, 2, 3])
+    np.testing.assert_allclose(triangulated.point[[0, 2, 3]], points[[0, 2, 3]], atol=1e-12)
     pair = triangulate(Rig(rig.cameras[:2], 0, "here"), pixels[:2], 0.1)
-    np.testing.assert_allclose(found.covariance[0], pair.covariance[0], rtol=1e-10)
-    for lost in (found.point[1], found.covariance[1], found.residual[1]):
+    np.testing.assert_allclose(triangulated.covariance[0], pair.covariance[0], rtol=1e-10)
+    for lost in (triangulated.point[1], triangulated.covariance[1], triangulated.residual[1]):
         assert np.isnan(lost).all()
 
 
@@ -195,10 +197,10 @@ def test_rays_that_meet_behind_a_camera_or_nowhere_give_nan():
     # The left camera sees a point before both cameras farther right: 40 px; behind them, left.
     pixels = np.array([[[340.0, 200.0], [300.0, 200.0], [320.0, 200.0]], [[300.0, 200.0]] * 3])
     pixels[1, 1], pixels[1, 2] = [340.0, 200.0], [320.0, 200.0]
-    found = triangulate(rig, pixels, 0.1)
-    np.testing.assert_array_equal(np.isnan(found.point).all(axis=1), [False, True, True])
-    np.testing.assert_array_equal(np.isnan(found.residual), [False, True, True])
-    assert (found.cameras == 2).all()
+    triangulated = triangulate(rig, pixels, 0.1)
+    np.testing.assert_array_equal(np.isnan(triangulated.point).all(axis=1), [False, True, True])
+    np.testing.assert_array_equal(np.isnan(triangulated.residual), [False, True, True])
+    assert (triangulated.cameras == 2).all()
 
 
 def test_any_number_of_threads_gives_the_same():
@@ -298,12 +300,12 @@ def test_independent_errors_add_up_in_the_object_frame() -> None:
         moved = triangulate(Rig((left, right), 0, "drawn"), pixels, 1.0).point - points
         gradient = np.linalg.lstsq(points - points.mean(axis=0), moved - moved.mean(axis=0))[0].T
         draws.append(0.5 * (gradient + gradient.T))
-    found = np.sqrt(np.square(strains).sum(axis=0))
+    stretch = np.sqrt(np.square(strains).sum(axis=0))
     drawn = np.sqrt(np.square(draws).mean(axis=0))
     # 300 draws know a standard deviation to 4 %; the depth is along the object's y.
     assert drawn[2, 2] < drawn.max() == drawn[1, 1] or drawn.max() > 1e-4
-    np.testing.assert_allclose(np.diag(found), np.diag(drawn), rtol=0.15)
-    np.testing.assert_allclose(found, drawn, atol=0.15 * drawn.max())
+    np.testing.assert_allclose(np.diag(stretch), np.diag(drawn), rtol=0.15)
+    np.testing.assert_allclose(stretch, drawn, atol=0.15 * drawn.max())
 
 
 def test_beyond_the_pictures_nothing_is_asked() -> None:

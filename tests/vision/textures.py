@@ -38,13 +38,13 @@ class Warp:
         Converges where the inverse differs from a shift by a gradient below one: turns to 50
         degrees.
         """
-        place = points.copy()
+        position = points.copy()
         for _ in range(200):
-            step = points - self.inverse(place)
-            place = place + step
+            step = points - self.inverse(position)
+            position = position + step
             if np.abs(step).max() < 1e-12:
                 break
-        return place - points
+        return position - points
 
     def flow(self, shape: tuple[int, int]) -> Float[np.ndarray, "rows columns 2"]:
         """u at every pixel centre of the rest picture [px]."""
@@ -63,7 +63,7 @@ def affine(
     """x = centre + matrix (X - centre) + shift, in columns and rows [px]."""
     back = np.linalg.inv(matrix)
     middle, away = np.array(centre), np.array(centre) + np.array(shift)
-    return Warp(lambda place: middle + (place - away) @ back.T)
+    return Warp(lambda position: middle + (position - away) @ back.T)
 
 
 def turned(degrees: float, strain: float = 0.0) -> Float[np.ndarray, "2 2"]:
@@ -75,9 +75,9 @@ def turned(degrees: float, strain: float = 0.0) -> Float[np.ndarray, "2 2"]:
 def inverse_quadratic(coefficients: Float[np.ndarray, "2 6"], centre: tuple[float, float]) -> Warp:
     """X = x + coefficients @ (1, a, b, a^2, a b, b^2), (a, b) = x - centre [px]."""
 
-    def inverse(place: np.ndarray) -> np.ndarray:
-        a, b = (place - np.array(centre)).T
-        return place + np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], 1) @ coefficients.T
+    def inverse(position: np.ndarray) -> np.ndarray:
+        a, b = (position - np.array(centre)).T
+        return position + np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], 1) @ coefficients.T
 
     return Warp(inverse)
 
@@ -121,8 +121,8 @@ class Speckle:
         """The moved picture in grey levels, each pixel the mean of 3 x 3 places spread over it."""
         third = np.array([-1.0, 0.0, 1.0]) / 3.0
         offset = np.stack(np.meshgrid(third, third), axis=-1).reshape(9, 2)
-        place = pixel_grid(self.shape)[:, :, None] + offset
-        source = warp.inverse(place.reshape(-1, 2)).reshape(*self.shape, 9, 2)
+        position = pixel_grid(self.shape)[:, :, None] + offset
+        source = warp.inverse(position.reshape(-1, 2)).reshape(*self.shape, 9, 2)
         total = _speckle_sum(source, self.speckles, self._first, self._cell, self._cells)
         return self.grey(total).astype(np.float32)
 
@@ -172,9 +172,9 @@ def window_correlation(first, at, second, there, half):
     `at` and `there` are (column, row); one of the two may lie between whole pixels.
     """
 
-    def window(grey, place):
-        column, row = (int(np.floor(value)) for value in place)
-        right, down = place[0] - column, place[1] - row
+    def window(grey, position):
+        column, row = (int(np.floor(value)) for value in position)
+        right, down = position[0] - column, position[1] - row
         rows, columns = (
             np.arange(row - half, row + half + 1),
             np.arange(column - half, column + half + 1),

@@ -308,7 +308,7 @@ def run(words: list[str]) -> int:
 
 
 def _call(words: list[str]) -> int:
-    """Have a command do its work."""
+    """Run the work of a command."""
     try:
         outcome = make_app()(
             words, exit_on_error=False, print_error=False, result_action="return_value"

@@ -83,7 +83,7 @@ def _print_message(text: str) -> None:
 
 @contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """Have the signals that ask a process to end raise `KeyboardInterrupt` with their number."""
+    """Make the signals that ask a process to end raise `KeyboardInterrupt` with their number."""
 
     received: list[int] = []
 
@@ -114,7 +114,7 @@ def _stopped_by_signals() -> Iterator[None]:
 
 
 def _open_streams() -> None:
-    """Have closed standard streams lead nowhere, or the next file opened would be taken for one."""
+    """Point closed standard streams at nothing: the next file opened would be taken for one."""
     while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
     os.close(handle)
@@ -128,7 +128,7 @@ def _open_streams() -> None:
 
 
 def _discard_output() -> None:
-    """Have what is still to be printed go nowhere."""
+    """Discard what is still to be printed."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())

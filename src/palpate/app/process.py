@@ -114,7 +114,7 @@ def guarded(main: Main) -> Main:
 
 @contextmanager
 def usable_columns() -> Iterator[None]:
-    """A width of the terminal that shows nothing is as good as none."""
+    """Ignore a width of the terminal in which nothing can be shown."""
     width = os.environ.get("COLUMNS", "")
     if not width.isdecimal() or int(width) >= _MIN_COLUMNS:
         yield
@@ -160,7 +160,7 @@ def kernel_cache() -> Iterator[None]:
 
 
 def check_kernel_cache() -> None:
-    """Refuse to compile kernels that would go with this process.
+    """Refuse to compile kernels that would be lost when this process ends.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def check_kernel_cache() -> None:
 
 
 def check_cache(folder: Path | None) -> None:
-    """Refuse a folder that cannot keep anything, before there is something to keep.
+    """Refuse a cache folder that cannot be written, before the work begins.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def check_cache(folder: Path | None) -> None:
 
 @contextmanager
 def output_as(wanted: Output, words: Sequence[str]) -> Iterator[None]:
-    """Have what is printed within the block come out as wanted.
+    """Print within the block as the options ask.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def output_as(wanted: Output, words: Sequence[str]) -> Iterator[None]:
 
 
 def wanted_output() -> Output:
-    """How the output of the command that runs is wanted."""
+    """Output options of the command that runs."""
     return _output.get() or Output()
 
 
@@ -332,7 +332,7 @@ def _too_little_memory() -> bool:
 
 
 def _cache_places() -> list[Path]:
-    """Where numba keeps compiled kernels: beside the source, else in the user's cache."""
+    """Folders in which numba keeps compiled kernels: beside the source, else the user's cache."""
     places = [Path(__file__).parents[1]]
     if sys.platform == "darwin":
         user = "~/Library/Caches"

@@ -186,15 +186,20 @@ def held_out_table(predictions: Sequence[Prediction], sizes: Mapping[str, float]
     sizes : mapping                 `FitResult.error_sizes`
     """
     rows = []
-    for each in predictions:
-        known = np.isfinite(each.measured)
-        off, moved = (values[known] for values in (each.predicted - each.measured, each.measured))
+    for prediction in predictions:
+        known = np.isfinite(prediction.measured)
+        off, moved = (
+            values[known]
+            for values in (prediction.predicted - prediction.measured, prediction.measured)
+        )
         size = float(np.sqrt(np.square(moved).sum()))
         error = float(np.sqrt(np.square(off).sum())) / size if size else math.nan
-        sigma = np.hypot(each.std, each.noise)[known]
+        sigma = np.hypot(prediction.std, prediction.noise)[known]
         inside = np.abs(off) < HALF_95 * sigma
         share = float(inside.mean()) if inside.size else math.nan
-        rows.append((each.name, number_text(100 * error, ".2f"), number_text(100 * share, ".0f")))
+        rows.append(
+            (prediction.name, number_text(100 * error, ".2f"), number_text(100 * share, ".0f"))
+        )
     columns = ("probing", "error, rms (%)", "within 95 % (%)")
     caption = (
         "Error: with the noise and the outliers of what was measured. Within: of the measured"
@@ -203,7 +208,8 @@ def held_out_table(predictions: Sequence[Prediction], sizes: Mapping[str, float]
     if sizes:
         caption += (
             " Errors of a probing are taken to be as large as in those fitted, over what the"
-            f" session says of them: {', '.join(f'{of} {size:.2g}' for of, size in sizes.items())}."
+            " session says of them:"
+            f" {', '.join(f'{source} {size:.2g}' for source, size in sizes.items())}."
         )
     return terminal_table("Probings held out", columns, rows, caption=caption)
 
@@ -365,7 +371,7 @@ class ShownTable(Table):
         return widths
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Any]:
-        """The table, or as many as it takes for each to be no wider than the terminal."""
+        """The table, split into as many as it takes to fit the width of the terminal."""
         parts = self._parts(options.max_width)
         # Above and below a narrow table there is more room than in it.
         if self.heading:
@@ -385,7 +391,7 @@ class ShownTable(Table):
             yield Text(self.below, style="table.caption")
 
     def _parts(self, width: int) -> list[list[int]]:
-        """Columns beside that of the names, as many at a time as have room, in even parts."""
+        """Columns other than the names, divided evenly into parts that fit the width."""
         needed = [self._min_width(k) + _COLUMN_PADDING for k in range(len(self.names))]
         room = max(width - _FRAME_WIDTH - needed[0], 1)
         indices = range(1, len(self.names))
@@ -400,7 +406,7 @@ class ShownTable(Table):
 
 
 def _captions(estimate: Estimate) -> list[str]:
-    """What the intervals hold beside noise, in sentences."""
+    """What the intervals include besides noise, in sentences."""
     sentences = []
     if assumed := len(estimate.settings.get("assumed_forces", ())):
         fraction = estimate.settings["errors"]["force"]
@@ -456,7 +462,7 @@ def _longest(words: Iterable[str]) -> int:
 
 
 def _split_columns(columns: Sequence[int], needed: Sequence[int], room: int) -> list[list[int]]:
-    """Columns in parts, each filled as far as there is room."""
+    """Columns divided into parts, each as full as the width allows."""
     parts, used = [list[int]()], 0
     for k in columns:
         if parts[-1] and used + needed[k] > room:

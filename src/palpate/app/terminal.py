@@ -148,8 +148,8 @@ def print_file_notes(notes: Iterable[tuple[str, str]], *, files: int) -> None:
     names: dict[str, list[str]] = {}
     for name, note in notes:
         names.setdefault(note, []).append(name)
-    for note, each in names.items():
-        whose = each[0] if len(each) == 1 else f"{len(each)} of {files} files"
+    for note, concerned in names.items():
+        whose = concerned[0] if len(concerned) == 1 else f"{len(concerned)} of {files} files"
         print_text(f"Note ({whose}): {note}")
 
 
@@ -173,8 +173,8 @@ def progress_bar(shorter: str = "", *, resumes: bool = False) -> Iterator[Progre
     """
     if wanted_output().verbose:
         lines = _announce_length(_line_progress(), shorter, resumes=resumes)
-        with _announce_compilation(lines) as report:
-            yield report
+        with _announce_compilation(lines) as progress:
+            yield progress
         return
     console = Console(file=sys.stderr)
     bar = rich_progress.Progress(
@@ -194,8 +194,8 @@ def progress_bar(shorter: str = "", *, resumes: bool = False) -> Iterator[Progre
         bar.update(task, description=visible(stage), completed=fraction)
 
     announced = _announce_length(show, shorter, resumes=resumes)
-    with bar, _announce_compilation(announced) as report:
-        yield report
+    with bar, _announce_compilation(announced) as progress:
+        yield progress
 
 
 @dataclass(slots=True)
@@ -233,11 +233,11 @@ class StageLog:
         progress : callable         is called all the same
         """
 
-        def report(stage: str, fraction: float) -> None:
+        def logged_progress(stage: str, fraction: float) -> None:
             self.add(stage)
             progress(stage, fraction)
 
-        return report
+        return logged_progress
 
 
 def _cell_value(cell: str) -> Any:
@@ -278,25 +278,25 @@ def _announce_compilation(show: Progress) -> Iterator[Progress]:
             if depth == 0 and last[0]:
                 show(*last)
 
-    def report(stage: str, fraction: float) -> None:
+    def announced(stage: str, fraction: float) -> None:
         nonlocal last
         last = stage, fraction
         show(stage, fraction)
 
     with event.install_listener("numba:compile", Compilation()):
-        yield report
+        yield announced
 
 
 def _announce_length(show: Progress, shorter: str, *, resumes: bool) -> Progress:
     """Progress that says how long it will take, if that is minutes, and again where it turns out to
     be twice as long: by the pace of the later half of the time so far."""
     reports = deque[tuple[float, float]]()
-    begin = said = 0.0
+    begin = announced_length = 0.0
     stop = "Ctrl-C stops it" + (", and the same command goes on from there" if resumes else "")
     cure = f"; shorter: {shorter}" if shorter else ""
 
-    def report(stage: str, fraction: float) -> None:
-        nonlocal begin, said
+    def announced(stage: str, fraction: float) -> None:
+        nonlocal begin, announced_length
         show(stage, fraction)
         now = time.monotonic()
         begin = begin or now
@@ -312,11 +312,11 @@ def _announce_length(show: Progress, shorter: str, *, resumes: bool) -> Progress
         pace = f"to go, by the pace of the last {seconds:.0f} s"
         if left > _MOST_SECONDS and cure and not resumes:
             raise InputError(f"there would be {_duration(left)} {pace}{cure}")
-        if left > _LONG_SECONDS and now - begin + left > 2.0 * said:
-            said = now - begin + left
+        if left > _LONG_SECONDS and now - begin + left > 2.0 * announced_length:
+            announced_length = now - begin + left
             print_message(f"note: {_duration(left)} {pace}; {stop}{cure}")
 
-    return report
+    return announced
 
 
 def _duration(seconds: float) -> str:
@@ -328,10 +328,10 @@ def _line_progress() -> Progress:
     """Progress as lines on stderr."""
     start, last = wanted_output().start, [""]
 
-    def report(stage: str, fraction: float) -> None:
+    def print_stage(stage: str, fraction: float) -> None:
         if stage != last[0]:
             seconds = time.perf_counter() - start
             print_message(f"{seconds:7.1f} s  {100 * fraction:3.0f} %  {stage}")
             last[0] = stage
 
-    return report
+    return print_stage

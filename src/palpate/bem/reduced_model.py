@@ -267,9 +267,9 @@ class ReducedBasis:
         size = np.linalg.norm(right, axis=1) + _TINY
         weights = np.zeros((len(matrix), matrix.shape[2]))
         residual = np.zeros(len(matrix))
-        for k, (one, wanted) in enumerate(zip(matrix, right, strict=True)):
-            weights[k] = np.linalg.lstsq(one, wanted)[0]
-            residual[k] = np.linalg.norm(one @ weights[k] - wanted) / size[k]
+        for k, (reduced, wanted) in enumerate(zip(matrix, right, strict=True)):
+            weights[k] = np.linalg.lstsq(reduced, wanted)[0]
+            residual[k] = np.linalg.norm(reduced @ weights[k] - wanted) / size[k]
         return weights.T, float(residual.max(initial=0.0))
 
     def basis(self, columns: Int[np.ndarray, " c"]) -> Iterator[Float[np.ndarray, "k c"]]:
@@ -392,7 +392,7 @@ def _krylov_model(
         for begin in range(0, len(active), _SLICE):
             part = slice(begin, begin + _SLICE)
             vectors = solve_at_centre(apply_slope(directions[-1][:, part]))
-            own_places = [place[part] for place in places]
+            own_places = [index[part] for index in places]
             next_ones[:, part], step = orthogonalised(vectors, directions[2:], own_places)
             hessenberg[active[part], : rank + 1, rank - 1] = step.T
         # Where a basis is complete, rows of the identity make all further coefficients zero.
@@ -450,7 +450,7 @@ class _Snapshots:
         self.directions.append(direction)
         self._products.append(products)
         self.ratios.append(ratio)
-        self._preconditioned += [self._inverse.solve(one) for one in products]
+        self._preconditioned += [self._inverse.solve(product) for product in products]
 
     def basis(self) -> ReducedBasis:
         """The model of the snapshots so far."""

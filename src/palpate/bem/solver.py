@@ -121,7 +121,7 @@ class _DirectSolver:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _IterativeSolver:
-    """By iteration; nothing is kept.
+    """A solver by iteration, which keeps nothing.
 
     Attributes
     ----------

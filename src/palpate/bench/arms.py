@@ -58,14 +58,14 @@ class ArmLimits:
 
 
 def check_push(
-    limits: ArmLimits, place: Vector3, inward: Vector3, *, clearance: float, force: float
+    limits: ArmLimits, point: Vector3, inward: Vector3, *, clearance: float, force: float
 ) -> None:
     """Refuse a push that would leave the limits on its way, before anything moves.
 
     Parameters
     ----------
     limits : ArmLimits
-    place : (3,) float [m]          on the surface
+    point : (3,) float [m]          on the surface
     inward : (3,) float [-]         unit normal into the object
     clearance : float [m]           height above the place at which the approach begins
     force : float [N]               to press with
@@ -79,10 +79,10 @@ def check_push(
             f"a push of {force:g} N is asked for; the arm may press with {limits.force:g} N at"
             " most: lower [push] force, or raise [arm.limits] force if arm and object bear it"
         )
-    for end in (place - clearance * inward, place + limits.depth * inward):
+    for end in (point - clearance * inward, point + limits.depth * inward):
         if not limits.contain(end):
             raise InputError(
-                f"the push at {_millimetres(place)} mm leads to {_millimetres(end)} mm, out of the"
+                f"the push at {_millimetres(point)} mm leads to {_millimetres(end)} mm, out of the"
                 f" box from {_millimetres(limits.low)} to {_millimetres(limits.high)} mm: widen"
                 " [arm.limits] if the way is free, or measure elsewhere"
             )
@@ -119,12 +119,12 @@ class GuardedArm:
         """As the arm's own."""
         self._arm.close()
 
-    def press_at(self, place: Vector3, inward: Vector3) -> None:
+    def press_at(self, point: Vector3, inward: Vector3) -> None:
         """Say where depth counts from: a place on the surface and the unit normal into it."""
-        self._place, self._force = (place, inward), 0.0
+        self._place, self._force = (point, inward), 0.0
 
     def leave(self) -> None:
-        """Say that the tool goes round the object, where depth means nothing."""
+        """Switch off the depth limit, for moves round the object."""
         self._place, self._force = None, 0.0
 
     def felt(self, force: float) -> None:
@@ -138,8 +138,8 @@ class GuardedArm:
         ------
         DeviceError                 the arm has stopped instead
         """
-        place, inward = self._place or (position, direction)
-        depth, before = ((x - place) @ inward for x in (position, self._arm.pose()))
+        point, inward = self._place or (position, direction)
+        depth, before = ((x - point) @ inward for x in (position, self._arm.pose()))
         reason = ""
         if not self.limits.contain(position):
             reason = f"{_millimetres(position)} mm is out of the box of [arm.limits]"

@@ -100,7 +100,7 @@ class Bench:
 
     @property
     def devices(self) -> tuple[Camera | ForceSource | GuardedArm, ...]:
-        """All of them."""
+        """All cameras, the force source and the arm."""
         return (*self.cameras, self.force, *(() if self.arm is None else (self.arm,)))
 
     @contextmanager
@@ -113,7 +113,7 @@ class Bench:
 
 
 def read_bench(source: Path | str) -> Bench:
-    """Read bench.toml; nothing is started.
+    """Read bench.toml without starting its devices.
 
     Parameters
     ----------

@@ -65,17 +65,17 @@ _Seen = tuple[Sighting, ...]
 
 
 class _Places:
-    """Where a board was still so far, with the pictures of all cameras."""
+    """Positions in which a board was held still so far, with the pictures of all cameras."""
 
     def __init__(self, folder: Path, board: Target, cameras: Sequence[str]) -> None:
         self.folder, self.board, self.cameras = folder, board, list(cameras)
         self.sizes: dict[str, tuple[int, int]] = {}
         self.pictures: list[tuple[str, str, Path, list[Sighting]]] = []
-        kept = find_pictures(folder) if any(folder.rglob("*.png")) else {}
+        earlier = find_pictures(folder) if any(folder.rglob("*.png")) else {}
         # What was being written when the process ended is left out.
-        whole = set.intersection(*(set(kept.get(camera, ())) for camera in self.cameras))
+        whole = set.intersection(*(set(earlier.get(camera, ())) for camera in self.cameras))
         for camera, instant in product(self.cameras, sorted(whole)):
-            path = kept[camera][instant]
+            path = earlier[camera][instant]
             self._add(camera, instant, path, eight_bits(read_grey(path)))
 
     @property
@@ -88,19 +88,22 @@ class _Places:
         """Whether one of them is that where the object will stand."""
         return any(instant == _TABLE for _, instant, _, _ in self.pictures)
 
-    def found(self) -> Sightings:
-        """All of them."""
+    def sightings(self) -> Sightings:
+        """Sightings of the board in all pictures."""
         return gathered(self.cameras, self.sizes, self.pictures, [self.board])
 
     def dots(self) -> list[Float[np.ndarray, "k 2"]]:
         """All marks in the pictures of each camera [px]."""
         every = [[seen[0].pixel for c, _, _, seen in self.pictures if c == camera]
                  for camera in self.cameras]  # fmt: skip
-        return [np.concatenate([np.zeros((0, 2)), *each]) for each in every]
+        return [np.concatenate([np.zeros((0, 2)), *marks]) for marks in every]
 
     def is_new(self, seen: _Seen) -> bool:
         """Whether the board is at a place where it was not before."""
-        here = [(camera, "", Path(), [one]) for camera, one in zip(self.cameras, seen, strict=True)]
+        here = [
+            (camera, "", Path(), [sighting])
+            for camera, sighting in zip(self.cameras, seen, strict=True)
+        ]
         with_it = gathered(self.cameras, self.sizes, [*self.pictures, *here], [self.board])
         return "" in without_repeats(with_it, news=_NEWS).views
 
@@ -115,9 +118,9 @@ class _Places:
 
     def forget_table(self) -> None:
         """Take the place of the object out again."""
-        for _, _, path, _ in [one for one in self.pictures if one[1] == _TABLE]:
+        for _, _, path, _ in [picture for picture in self.pictures if picture[1] == _TABLE]:
             path.unlink()
-        self.pictures = [one for one in self.pictures if one[1] != _TABLE]
+        self.pictures = [picture for picture in self.pictures if picture[1] != _TABLE]
 
     def _add(self, camera: str, instant: str, path: Path, picture: np.ndarray) -> None:
         self.sizes[camera] = (picture.shape[1], picture.shape[0])
@@ -179,7 +182,7 @@ def _still_pictures(bench: Bench, questions: Questions, places: _Places) -> Pict
     while True:
         when, pictures = grabbed(bench)
         seen = tuple(places.board.find(picture) for picture in pictures)
-        there = any(len(one.mark) >= _MARKS for one in seen)
+        there = any(len(sighting.mark) >= _MARKS for sighting in seen)
         new = there and (not places.has_table or places.is_new(seen))
         state = "hold still" if new else "elsewhere, or tilted otherwise" if there else "no board"
         questions.see(pictures, [], [], f"{state}; {places.count} places", places.dots())
@@ -191,12 +194,12 @@ def _still_pictures(bench: Bench, questions: Questions, places: _Places) -> Pict
 
 def _shift(before: _Seen, after: _Seen) -> float:
     """How far a board has moved in the picture where it moved most [px]."""
-    shifts = []
+    distances = []
     for first, second in zip(before, after, strict=True):
         _, a, b = np.intersect1d(first.mark, second.mark, return_indices=True)
         if len(a) >= _MARKS:
-            shifts.append(np.median(np.linalg.norm(first.pixel[a] - second.pixel[b], axis=1)))
-    return float(max(shifts, default=np.inf))
+            distances.append(np.median(np.linalg.norm(first.pixel[a] - second.pixel[b], axis=1)))
+    return float(max(distances, default=np.inf))
 
 
 def _judged(places: _Places, questions: Questions) -> Calibration | None:
@@ -207,7 +210,7 @@ def _judged(places: _Places, questions: Questions) -> Calibration | None:
     try:
         with questions.working() as progress:
             progress("calibration", 0.0)
-            calibration = calibrate(places.found(), [places.board])
+            calibration = calibrate(places.sightings(), [places.board])
             sigma = length_sigma(calibration)
     except CalibrationError as error:
         questions.tell(f"{places.count} places of the board: {error}")

@@ -136,14 +136,14 @@ class SerialGauge:
         if "over" in groups:
             raise self._error("is overloaded; press less deep, or take one of a larger range")
         known = self.protocol.units or {}
-        said = groups.get("unit")
-        said = None if said is None else known.get(said, said)
-        unit = self.unit or said
+        sent_unit = groups.get("unit")
+        sent_unit = None if sent_unit is None else known.get(sent_unit, sent_unit)
+        unit = self.unit or sent_unit
         if unit is None:
             raise self._error("sends numbers without a unit; say it as `unit` in [force]")
-        if said is not None and said != unit:
+        if sent_unit is not None and sent_unit != unit:
             raise self._error(
-                f"sends {said}, and [force] says {unit}; switch the gauge, or correct `unit`"
+                f"sends {sent_unit}, and [force] says {unit}; switch the gauge, or correct `unit`"
             )
         if unit not in FORCE_UNITS:
             raise self._error(f"sends {unit}; switch it to one of {', '.join(FORCE_UNITS)}")

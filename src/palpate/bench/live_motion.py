@@ -29,11 +29,11 @@ class LiveMotion:
     """
 
     def __init__(
-        self, rig: Rig, mesh: TriangleMesh, rest: Pictures, place: tuple[Vector3, Vector3]
+        self, rig: Rig, mesh: TriangleMesh, rest: Pictures, contact: tuple[Vector3, Vector3]
     ) -> None:
         # When [s], and how far along the normal [m].
         self.trace: list[tuple[float, float]] = []
-        self._method, self._place = JointFlow(step=_STEP), place
+        self._method, self._place = JointFlow(step=_STEP), contact
         self._pool = ThreadPoolExecutor(1)
         self._work: Future[None] = self._pool.submit(self._begin, rig, mesh, rest)
 

@@ -115,7 +115,7 @@ class LiveSession:
 
     @property
     def file(self) -> Path:
-        """session.toml."""
+        """Path of session.toml."""
         return self.folder / "session.toml"
 
     @property
@@ -154,7 +154,7 @@ class LiveSession:
         InputError                  pictures that cannot be used: black, of another size than the
                                     rig's, the same twice
         """
-        files = [each.images for each in _LOOKS]
+        files = [look.images for look in _LOOKS]
         try:
             for file, views in zip(files, pictures, strict=True):
                 self._write(file, views)
@@ -188,13 +188,13 @@ class LiveSession:
         limit = max(_MOVED * bounding_diagonal(self.mesh), _SURE * sigma)
         return moved if moved > limit else 0.0
 
-    def add(self, taken: TakenPush, place: Vector3, inward: Vector3) -> Session:
+    def add(self, taken: TakenPush, point: Vector3, inward: Vector3) -> Session:
         """Add a push: judge it, then write it.
 
         Parameters
         ----------
         taken : TakenPush
-        place : (3,) float [m]      where it was asked for
+        point : (3,) float [m]      where it was asked for
         inward : (3,) float [-]
 
         Returns
@@ -210,7 +210,7 @@ class LiveSession:
         self._write(_LOADED.format(name), taken.loaded)
         probe = {
             "name": name,
-            "contact": {"point": (place / self.metres).tolist(), **self.contact},
+            "contact": {"point": (point / self.metres).tolist(), **self.contact},
             "force": (taken.force * inward).tolist(),
             "force_std": self._force_std(taken, inward),
             "images": {"rest": _REST.format(name), "loaded": [_LOADED.format(name)]},

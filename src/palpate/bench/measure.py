@@ -352,7 +352,7 @@ def _asked_tool(questions: Questions, unit: str, usual: str) -> dict[str, Any]:
 
 
 def _look(bench: Bench, questions: Questions, session: LiveSession) -> None:
-    """Look at the object at rest until nothing is wrong, or the person goes on regardless."""
+    """Check the pictures at rest until they are good, or the person goes on regardless."""
     while True:
         try:
             views = [grabbed(bench)[1] for _ in range(2)]
@@ -376,13 +376,13 @@ def _push(
     """One push that can be used, whatever comes between; None: the person stops. An arm that fails
     at a place would fail there again: it goes to the next best one, while there are any."""
     while places:
-        place, inward = places[0]
+        point, inward = places[0]
         try:
-            taken = take_push(bench, questions, session.mesh, place, inward)
+            taken = take_push(bench, questions, session.mesh, point, inward)
             with questions.working() as progress:
                 progress("displacements from the pictures", 0.0)
                 moved = session.moved(taken.rest)
-                measured = None if moved else session.add(taken, place, inward)
+                measured = None if moved else session.add(taken, point, inward)
             if measured is not None:
                 questions.tell(f"Push {session.count} is taken: {taken.force:.3g} N")
                 return measured
@@ -413,7 +413,7 @@ def _judged(
     *,
     until: Wanted | None,
 ) -> tuple[Estimate, _Places]:
-    """The constants of all pushes, said; and the places for the next one, the best first."""
+    """Fit all pushes and report the constants; gives the places for the next push, best first."""
     with questions.working() as progress:
         result = session.fit(measured, progress=progress)
     estimate = result.estimate
@@ -452,45 +452,45 @@ def _allowed(bench: Bench, plan: NextProbings) -> _Places:
     places = []
     order = [*plan.chosen, *(k for k in range(len(plan.point)) if k not in plan.chosen)]
     for k in order:
-        place, inward = plan.point[k], plan.inward[k]
+        point, inward = plan.point[k], plan.inward[k]
         if bench.direction is not None and inward @ bench.direction < _FROM_ABOVE:
             continue
         try:
-            _check(bench, place, inward)
+            _check(bench, point, inward)
         except InputError:
             continue
-        places.append((place, inward))
+        places.append((point, inward))
     if places:
         return places
     raise InputError("no further place is within what the scale reads and the arm's limits allow")
 
 
-def _check(bench: Bench, place: Vector3, inward: Vector3) -> None:
+def _check(bench: Bench, point: Vector3, inward: Vector3) -> None:
     if bench.arm is not None:
         limits = bench.arm.limits
         force = float(bench.push_force or 0.0)
-        check_push(limits, place, inward, clearance=limits.depth, force=force)
+        check_push(limits, point, inward, clearance=limits.depth, force=force)
 
 
 def _rehearse(
-    bench: Bench, questions: Questions, session: LiveSession, place: Vector3, inward: Vector3
+    bench: Bench, questions: Questions, session: LiveSession, point: Vector3, inward: Vector3
 ) -> None:
     """Say and draw what the arm would do, without moving it."""
-    _check(bench, place, inward)
+    _check(bench, point, inward)
     if bench.arm is None:
         questions.tell("There is no arm: a person presses.")
         return
     limits = bench.arm.limits
-    above, speed = place - limits.depth * inward, 1e3 * limits.speed
+    above, speed = point - limits.depth * inward, 1e3 * limits.speed
     here = bench.arm.pose()
-    way = [here, *way_round(here, above, session.mesh, clearance=limits.depth), place]
-    questions.place(place, inward, way)
+    way = [here, *way_round(here, above, session.mesh, clearance=limits.depth), point]
+    questions.place(point, inward, way)
     names, drawing = [camera.name for camera in bench.cameras], session.folder / _DRAWING
-    sheet = montage(names, grabbed(bench)[1], session.rig, place=(place, inward), way=way)
+    sheet = montage(names, grabbed(bench)[1], session.rig, target=(point, inward), way=way)
     write_picture(drawing, sheet)
     questions.tell(
         f"From {_mm(here)} mm round the object to {_mm(above)} mm at {speed:.3g} mm/s;"
-        f" down along {np.round(inward, 3).tolist()} to {_mm(place)} mm and on, up to"
+        f" down along {np.round(inward, 3).tolist()} to {_mm(point)} mm and on, up to"
         f" {bench.push_force:g} N, never beyond {limits.force:g} N or {1e3 * limits.depth:.3g} mm"
         f" deep; hold for {bench.hold:g} s, and back to {_mm(above)} mm. Drawn in {drawing}"
     )

@@ -83,9 +83,9 @@ class Page(Questions):
     PalpateError                    this version of viser cannot be guarded
     """
 
-    def __init__(self, name: str, *, port: int | None, say: Callable[[str], object]) -> None:
+    def __init__(self, name: str, *, port: int | None, on_message: Callable[[str], object]) -> None:
         self._server, self.address = open_server(name, port)
-        self._say, self._said = say, list[str]()
+        self._on_message, self._messages = on_message, list[str]()
         self._stopped, self._estimates = Event(), list[Estimate]()
         self._rig: Rig | None = None
         self._look: Callable[[], Pictures] | None = None
@@ -136,9 +136,9 @@ class Page(Questions):
 
     def tell(self, text: str) -> None:
         """As in `Questions`."""
-        self._say(text)
-        self._said = [*self._said, text][-_KEPT:]
-        self._log.content = said_html(self._said)
+        self._on_message(text)
+        self._messages = [*self._messages, text][-_KEPT:]
+        self._log.content = said_html(self._messages)
 
     def choose(self, text: str, options: list[str]) -> str:
         """As in `Questions`; a button for each."""
@@ -186,13 +186,13 @@ class Page(Questions):
     def working(self) -> Iterator[Progress]:
         """As in `Questions`."""
 
-        def report(text: str, share: float) -> None:
+        def show_progress(text: str, share: float) -> None:
             self._question.content = text_html(f"{text} ...")
             self._bar.value = 100.0 * share
 
         self._bar.value, self._bar.visible = 0.0, True
         try:
-            yield report
+            yield show_progress
         finally:
             self._question.content, self._bar.visible = "", False
 
@@ -252,7 +252,7 @@ class Page(Questions):
             self._trace.content = trace_svg(time, force, moved)
 
     def _follow(self, pictures: Pictures, time: list[float], state: str) -> None:
-        """Have the motion near the tool followed, from the last pictures at rest."""
+        """Follow the motion near the tool, from the last pictures at rest."""
         if state == AT_REST:
             self._rest = pictures
             self._forget_motion()
@@ -342,8 +342,8 @@ class Page(Questions):
             raise Stopped
         finally:
             self._question.content = ""
-            for one in shown:
-                one.remove()
+            for element in shown:
+                element.remove()
 
     def _live(self) -> None:
         """Show what the cameras see just now; one that fails is asked for by who needs it."""
@@ -364,7 +364,7 @@ class Page(Questions):
             self._names,
             pictures,
             self._rig,
-            place=self._place,
+            target=self._place,
             way=self._way,
             outline=self._outline,
             dots=dots,
@@ -383,7 +383,7 @@ class Page(Questions):
                 self._drawn.pop(name).remove()
 
     def _turn(self, toward: Vector3) -> None:
-        """Have all tabs look at the object from a side."""
+        """Turn the view of all tabs to one side of the object."""
         self._toward = toward
         for client in self._server.get_clients().values():
             self._aim(client)

@@ -58,7 +58,7 @@ def steps_html(current: str) -> str:
 
 
 def question_html(text: str) -> str:
-    """What the person is asked, or told to do."""
+    """Question or instruction for the person, as HTML."""
     return block(
         f'<div style="font-size:1.05rem;font-weight:600;white-space:pre-line">{escape(text)}</div>'
     )
@@ -97,13 +97,15 @@ def intervals_svg(estimates: Sequence[Estimate]) -> str:
 
 
 def _interval_svg(estimates: Sequence[Estimate], key: str) -> str:
-    known = [one for one in estimates if one.identifiable[key]]
-    known = [one for one in known if np.isfinite(getattr(one, key).ci95).all()]
+    known = [estimate for estimate in estimates if estimate.identifiable[key]]
+    known = [estimate for estimate in known if np.isfinite(getattr(estimate, key).ci95).all()]
     if not known:
         return ""
     _, _, unit = constant_row(known[-1], key)
-    x = np.array([len(one.probes) for one in known], dtype=float)
-    rows = np.array([(getattr(one, key).value, *getattr(one, key).ci95) for one in known])
+    x = np.array([len(estimate.probes) for estimate in known], dtype=float)
+    rows = np.array(
+        [(getattr(estimate, key).value, *getattr(estimate, key).ci95) for estimate in known]
+    )
     if unit:
         rows = rows / MODULUS_UNITS[unit]
     plot = _Plot(x, rows, whole=True)
@@ -135,7 +137,7 @@ def trace_svg(
     # At rest there is noise alone: it is not drawn as large as a push.
     plot = _Plot(t, np.append(f, _NOISE * rest.std()))
     title, lines = "force, N, over seconds", [(plot.line(t, f), ORANGE)]
-    then = np.array([one for one in moved if one[0] >= first]).reshape(-1, 2)
+    then = np.array([sample for sample in moved if sample[0] >= first]).reshape(-1, 2)
     if len(then):
         most = max(then[:, 1].max(), _STILL)
         line = plot.line(then[:, 0] - first, then[:, 1] / most * max(f.max(), 0.0))
@@ -238,7 +240,7 @@ def montage(
     pictures: Pictures,
     rig: Rig | None = None,
     *,
-    place: tuple[Vector3, Vector3] | None = None,
+    target: tuple[Vector3, Vector3] | None = None,
     way: Sequence[Vector3] = (),
     outline: TriangleMesh | None = None,
     dots: Dots = (),
@@ -251,7 +253,7 @@ def montage(
     names : sequence of str         of the cameras
     pictures : Pictures             of them
     rig : Rig or None               of them; without one there is neither ring nor outline
-    place : (3,) and (3,) float     point [m] and direction of the push; None: no ring
+    target : (3,) and (3,) float    point [m] and direction of the push; None: no ring
     way : sequence of (3,) float [m]    of an arm's tool
     outline : TriangleMesh or None  the object as the rig has it [m]
     dots : sequence of (k, 2) float [px]    in the picture of each camera
@@ -262,8 +264,8 @@ def montage(
         drawn = _Tile(name, picture, _WIDTH // columns)
         if dots:
             drawn.dots(dots[k])
-        if rig is not None and place is not None:
-            drawn.ring(rig.cameras[k], *place)
+        if rig is not None and target is not None:
+            drawn.ring(rig.cameras[k], *target)
         if rig is not None and len(way):
             drawn.lines(rig.cameras[k], np.stack([way[:-1], way[1:]], axis=1), BLUE)
         if rig is not None and outline is not None:

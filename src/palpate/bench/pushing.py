@@ -174,7 +174,7 @@ class _Watch:
         return self.mean(begun, self.frames[-1][0], rest)
 
     def since(self, begun: float) -> int:
-        """How many pictures there are since a time."""
+        """Number of pictures since a time."""
         return sum(when >= begun for when, _ in self.frames)
 
     def mean(self, begin: float, end: float, rest: Pictures | None = None) -> Pictures:
@@ -251,16 +251,16 @@ class _Force:
 
 
 def take_push(
-    bench: Bench, questions: Questions, mesh: TriangleMesh, place: Vector3, inward: Vector3
+    bench: Bench, questions: Questions, mesh: TriangleMesh, point: Vector3, inward: Vector3
 ) -> TakenPush:
-    """Have the arm, or the person, press at a place, and take pictures and force.
+    """Let the arm or the person press at a place, and record pictures and force.
 
     Parameters
     ----------
     bench : Bench                   started
     questions : Questions
     mesh : TriangleMesh             the object
-    place : (3,) float [m]          on its surface
+    point : (3,) float [m]          on its surface
     inward : (3,) float [-]         unit normal into the object
 
     Returns
@@ -273,11 +273,11 @@ def take_push(
     DeviceError                     a device that fails
     InputError                      a push that leaves the arm's limits
     """
-    questions.place(place, inward)
-    watch, where = _Watch(bench, questions), f"{(np.round(1e3 * place, 1) + 0.0).tolist()} mm"
+    questions.place(point, inward)
+    watch, where = _Watch(bench, questions), f"{(np.round(1e3 * point, 1) + 0.0).tolist()} mm"
     if bench.arm is not None:
         questions.tell(f"The arm presses at {where}")
-        rest, loaded, (force, std) = _by_arm(bench, bench.arm, watch, mesh, place, inward)
+        rest, loaded, (force, std) = _by_arm(bench, bench.arm, watch, mesh, point, inward)
     elif isinstance(bench.force, TypedForce):
         rest, loaded, (force, std) = _typed(bench.force, questions, watch, where)
     else:
@@ -354,22 +354,22 @@ def _by_arm(
     arm: GuardedArm,
     watch: _Watch,
     mesh: TriangleMesh,
-    place: Vector3,
+    point: Vector3,
     inward: Vector3,
 ) -> tuple[Pictures, Pictures, tuple[float, float]]:
     """The arm approaches along the normal, presses to a force, holds, and retracts."""
     limits, wanted = arm.limits, float(bench.push_force or 0.0)
-    above = place - limits.depth * inward
-    check_push(limits, place, inward, clearance=limits.depth, force=wanted)
+    above = point - limits.depth * inward
+    check_push(limits, point, inward, clearance=limits.depth, force=wanted)
     arm.leave()
     try:
         for position in way_round(arm.pose(), above, mesh, clearance=limits.depth):
             arm.move(position, inward, limits.speed)
-        arm.press_at(place, inward)
+        arm.press_at(point, inward)
         rest = watch.seen_for(_REST)
         try:
             watch.state = "presses"
-            _press(arm, watch, place, inward, wanted)
+            _press(arm, watch, point, inward, wanted)
             watch.state = "holds"
             watch.seen_for(_DELIVERY)
             loaded = watch.seen_for(bench.hold, rest)
@@ -385,13 +385,13 @@ def _by_arm(
     return rest, loaded, _size(force.reading(), watch.questions)
 
 
-def _press(arm: GuardedArm, watch: _Watch, place: Vector3, inward: Vector3, wanted: float) -> None:
+def _press(arm: GuardedArm, watch: _Watch, point: Vector3, inward: Vector3, wanted: float) -> None:
     """Go down step by step until the tool presses with a force; each step knows a new reading. A
     gauge that does not feel the object stops the arm long before the largest depth does."""
     limits, forces = arm.limits, [0.0]
     zero = float(np.median(watch.reading))
     for depth in limits.depth * np.linspace(-1.0, 1.0, 2 * _STEPS + 1)[1:]:
-        arm.move(place + depth * inward, inward, limits.speed)
+        arm.move(point + depth * inward, inward, limits.speed)
         while not watch.read():
             time.sleep(_PAUSE)
         force = abs(watch.reading[-1] - zero)

@@ -44,7 +44,7 @@ class Questions(Protocol):
     """
 
     def tell(self, text: str) -> None:
-        """Say something."""
+        """Show a message."""
 
     def choose(self, text: str, options: list[str]) -> str:
         """One of some words; the first is the usual one."""
@@ -53,7 +53,7 @@ class Questions(Protocol):
         """A number or a word; empty: the usual one."""
 
     def wait(self, text: str) -> None:
-        """Until the person has done something."""
+        """Wait until the person has done something."""
 
     def working(self) -> AbstractContextManager[Progress]:
         """Show what is being done until the block ends; nothing is asked or told in it."""

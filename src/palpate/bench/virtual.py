@@ -125,7 +125,7 @@ class VirtualWorld:
         return min(float(away @ along) / self._press.depth, 1.0)
 
     def go(self, position: Vector3, seconds: float) -> None:
-        """Have the tool arrive at a position so many seconds later."""
+        """Move the tool so that it arrives at a position after some seconds."""
         self.position = position
         self.wait(seconds)
 
@@ -134,10 +134,10 @@ class VirtualWorld:
         self.time += seconds
         self._path.append((self.time, self.depth))
 
-    def aim_at(self, place: Vector3, inward: Vector3) -> None:
+    def aim_at(self, point: Vector3, inward: Vector3) -> None:
         """Solve the push at a place, once the tool is above it."""
         self.pushes += 1
-        probe = Probe(f"push {self.pushes}", place, inward, force=_MOST_FORCE * self.force)
+        probe = Probe(f"push {self.pushes}", point, inward, force=_MOST_FORCE * self.force)
         config = replace(self.config, probes=(probe,))
         tip = aim(probe, config.arm, config.specimen.mesh, rng=self.rng)
         self._press = solve_press(config, tip, 0, Film(1))
@@ -262,16 +262,16 @@ class VirtualArm:
         way = position - world.position
         length = float(np.linalg.norm(way))
         if length > 0.0 and way @ direction > 0.999 * length and not self._on_line(direction):
-            place = ray_intersection(world.config.specimen.mesh, world.position, direction)
-            if place is not None:
-                self._aimed = np.stack([place, direction])
-                world.aim_at(place, direction)
+            point = ray_intersection(world.config.specimen.mesh, world.position, direction)
+            if point is not None:
+                self._aimed = np.stack([point, direction])
+                world.aim_at(point, direction)
         world.go(position, length / speed)
 
     def _on_line(self, direction: Vector3) -> bool:
         """Whether the push that was solved last is on the way."""
-        place, inward = self._aimed
-        beside = np.cross(self._world.position - place, inward)
+        point, inward = self._aimed
+        beside = np.cross(self._world.position - point, inward)
         return bool(direction @ inward > 1.0 - 1e-9 and np.linalg.norm(beside) < 1e-6)
 
     def stop(self) -> None:

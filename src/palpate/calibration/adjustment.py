@@ -318,16 +318,16 @@ def _linearised(bundle: Bundle, corners: Corners) -> _Equations:
     c, v = corners.camera, corners.view
     board = bundle.view[v]
     turned = np.einsum("mij,mj->mi", board[:, :3, :3], corners.point)
-    place = turned + board[:, :3, 3]
+    in_world = turned + board[:, :3, 3]
     pose = bundle.camera[c]
-    rotated = np.einsum("mij,mj->mi", pose[:, :3, :3], place)
+    rotated = np.einsum("mij,mj->mi", pose[:, :3, :3], in_world)
     in_camera = rotated + pose[:, :3, 3]
     pixel, by_point = np.empty((len(c), 2)), np.empty((len(c), 2, 3))
     by_intrinsics = np.empty((len(c), 2, _LENS))
     for k in np.unique(c):
-        own = c == k
-        pixel[own], by_intrinsics[own], by_point[own] = seen_points(
-            bundle.intrinsics[k], in_camera[own]
+        seen = c == k
+        pixel[seen], by_intrinsics[seen], by_point[seen] = seen_points(
+            bundle.intrinsics[k], in_camera[seen]
         )
     by_camera = np.concatenate([by_point @ _skew_matrices(-rotated), by_point], axis=2)
     by_place = by_point @ pose[:, :3, :3]

@@ -193,19 +193,19 @@ def view_object(
 def _ties(rig: Rig, matches: Sequence[StereoMatches], *, step: int) -> Ties:
     """Tie points from matches, `step` grid steps apart, with a covariance for each camera."""
     pixels, covariance = [], []
-    for one in matches:
-        cell = np.rint((one.pixel - one.pixel.min(axis=0, initial=np.inf)) / _SETTINGS.step)
+    for instant in matches:
+        cell = np.rint((instant.pixel - instant.pixel.min(axis=0, initial=np.inf)) / _SETTINGS.step)
         chosen = (cell % step == 0).all(axis=1)
-        pixels.append(one.pixels[:, chosen])
-        covariance.append(one.covariance[:, chosen])
+        pixels.append(instant.pixels[:, chosen])
+        covariance.append(instant.covariance[:, chosen])
     every, noise = np.concatenate(pixels, axis=1), np.concatenate(covariance, axis=1)
     # Every match is with the reference picture, which contributes half of its noise.
     seen = np.isfinite(every).all(axis=2)
     seen[rig.reference] = False
     half = np.where(seen[..., None, None], 0.5 * noise, 0.0)
     half[rig.reference] = half.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)[:, None, None]
-    some = seen.any(axis=0)
-    return Ties(every[:, some], half[:, some])
+    visible = seen.any(axis=0)
+    return Ties(every[:, visible], half[:, visible])
 
 
 def _registered(rig: Rig, mesh: TriangleMesh, matches: StereoMatches) -> tuple[Registration, int]:
@@ -222,14 +222,14 @@ def _registered(rig: Rig, mesh: TriangleMesh, matches: StereoMatches) -> tuple[R
     eye = camera_centre(rig.cameras[rig.reference])
     starts = (None, *_searched(mesh, points, eye)) if _far(mesh, points) else (None,)
     tried = [register_object(rig, stereo, smooth, start=start) for start in starts]
-    made = [one for one in tried if one is not None]
+    made = [registration for registration in tried if registration is not None]
     if not made:
         raise CalibrationError(
             f"of {len(points)} points that two cameras see, fewer than {MIN_POSE_POINTS} lie"
             " together as the object's would; is it in the pictures, and is the unit of the mesh"
             " right?"
         )
-    best = min(made, key=lambda one: one.residual / one.inliers)
+    best = min(made, key=lambda registration: registration.residual / registration.inliers)
     try:
         check_registration(best)
     except CalibrationError as error:
@@ -276,7 +276,7 @@ def _searched(mesh: TriangleMesh, points: Points, eye: Vector3) -> list[Float[np
         )
         gap = closest_points(mesh, few @ pose[:3, :3].T + pose[:3, 3]).distance
         tries.append((float(np.median(gap)), pose))
-    return [pose for _, pose in sorted(tries, key=lambda one: one[0])[:_KEPT]]
+    return [pose for _, pose in sorted(tries, key=lambda attempt: attempt[0])[:_KEPT]]
 
 
 def _front(mesh: TriangleMesh, toward: Vector3) -> Vector3:

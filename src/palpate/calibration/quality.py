@@ -162,9 +162,9 @@ def picture_errors(calibration: Calibration) -> tuple[PictureError, ...]:
             mine = (corners.camera == c) & (corners.view == v)
             if not mine.any():
                 continue
-            kept = mine & good
-            rms = float(np.sqrt(square[kept].mean())) if kept.any() else np.nan
-            rejected = int(mine.sum() - kept.sum())
+            accepted = mine & good
+            rms = float(np.sqrt(square[accepted].mean())) if accepted.any() else np.nan
+            rejected = int(mine.sum() - accepted.sum())
             errors.append(PictureError(camera.name, view, int(mine.sum()), rejected, rms))
     return tuple(errors)
 
@@ -395,9 +395,9 @@ def write_calibration(
 def _write_pictures(path: Path, calibration: Calibration) -> None:
     """Write one row per picture; the rms is left empty where no corner was kept."""
     rows: list[tuple[object, ...]] = [("camera", "view", "corners", "left out", "rms [px]")]
-    for one in picture_errors(calibration):
-        rms = "" if np.isnan(one.rms) else f"{one.rms:.4f}"
-        rows.append((one.camera, one.view, one.corners, one.rejected, rms))
+    for picture in picture_errors(calibration):
+        rms = "" if np.isnan(picture.rms) else f"{picture.rms:.4f}"
+        rows.append((picture.camera, picture.view, picture.corners, picture.rejected, rms))
     write_text(path, spreadsheet_text(rows))
 
 

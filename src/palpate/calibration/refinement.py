@@ -138,10 +138,10 @@ class KnownSurface:
         """
         ties, mesh = self.ties, self.mesh
         offset, centre = self._offsets(rig)
-        place = centre + offset / (1.0 + self.relative_size)
-        closest = closest_points(mesh, place)
+        position = centre + offset / (1.0 + self.relative_size)
+        closest = closest_points(mesh, position)
         normal = unit_normals(TriangleMesh(mesh.vertices, mesh.triangles[closest.triangle]))
-        gap = np.einsum("na,na->n", normal, place - closest.position)
+        gap = np.einsum("na,na->n", normal, position - closest.position)
         inside = (closest.barycentric > 0.0).all(axis=1)
         noise = STD_OVER_MEDIAN * float(np.median(np.abs(gap[inside])))
         _, shift = _jacobians(rig, prior, scale, ties)
@@ -184,9 +184,9 @@ class KnownSurface:
 
     def _offsets(self, rig: Rig) -> tuple[Float[np.ndarray, "n 3"], Vector3]:
         """Points relative to their centroid, and the centroid, in the frame of the mesh [m]."""
-        place = tie_points(rig, self.ties) @ self.pose[:3, :3].T + self.pose[:3, 3]
-        centre = place.mean(axis=0)
-        return place - centre, centre
+        position = tie_points(rig, self.ties) @ self.pose[:3, :3].T + self.pose[:3, 3]
+        centre = position.mean(axis=0)
+        return position - centre, centre
 
 
 def refined_rig(
@@ -306,7 +306,7 @@ def _improvement(rig: Rig, other: Rig, ties: Ties, label: np.ndarray) -> tuple[f
     groups, as neighbouring points are correlated.
     """
     freedom, seen = _freedom(ties), np.isfinite(ties.pixels).all(axis=2)
-    both = [_residuals(one, ties) for one in (rig, other)]
+    both = [_residuals(candidate, ties) for candidate in (rig, other)]
     good, _ = _good(both[1], freedom)
     squares = [(residual[good] ** 2).sum(axis=1) for residual in both]
     sums = np.bincount(label[good], squares[0] - squares[1])[np.unique(label[good])]
@@ -465,8 +465,8 @@ def _variance_inflation(score: Float[np.ndarray, "n k"], label: Int[np.ndarray, 
     """
     independent = score.T @ score
     sums = np.stack([np.bincount(label, column) for column in score.T], axis=1)
-    kept = np.linalg.pinv(independent, rcond=1e-8, hermitian=True)
+    inverse = np.linalg.pinv(independent, rcond=1e-8, hermitian=True)
     rank = max(
         np.linalg.matrix_rank(independent, tol=1e-8 * np.trace(independent), hermitian=True), 1
     )
-    return float(np.trace(kept @ (sums.T @ sums))) / rank
+    return float(np.trace(inverse @ (sums.T @ sums))) / rank

@@ -64,14 +64,14 @@ class Sightings:
     notes: tuple[str, ...]
 
 
-def find_pictures(place: Path) -> dict[str, dict[str, Path]]:
+def find_pictures(root: Path) -> dict[str, dict[str, Path]]:
     """List the calibration pictures of every camera by the names of their instants.
 
     Pictures of one instant have the same file name, ignoring the camera's name within it.
 
     Parameters
     ----------
-    place : Path                    folder with one folder per camera; or with one camera's pictures
+    root : Path                     folder with one folder per camera; or with one camera's pictures
 
     Returns
     -------
@@ -82,11 +82,11 @@ def find_pictures(place: Path) -> dict[str, dict[str, Path]]:
     ------
     RecordError                     there is no such folder, or there are no pictures in it
     """
-    if not place.is_dir():
-        raise RecordError(f"{place}: no such folder; give one that has a folder for every camera")
-    folders = [path for path in sorted(place.iterdir()) if path.is_dir()]
+    if not root.is_dir():
+        raise RecordError(f"{root}: no such folder; give one that has a folder for every camera")
+    folders = [path for path in sorted(root.iterdir()) if path.is_dir()]
     by_instant: dict[str, dict[str, Path]] = {}
-    for folder in folders or [place]:
+    for folder in folders or [root]:
         files = sorted(folder.iterdir())
         pictures = [path for path in files if path.suffix.lower() in PICTURE_SUFFIXES]
         # An empty hidden folder is some program's, not a camera's.
@@ -94,7 +94,7 @@ def find_pictures(place: Path) -> dict[str, dict[str, Path]]:
             by_instant[folder.name] = {_instant(path.stem, folder.name): path for path in pictures}
     if not any(by_instant.values()):
         raise RecordError(
-            f"{place}: has no pictures ({', '.join(PICTURE_SUFFIXES)}), neither itself nor in the"
+            f"{root}: has no pictures ({', '.join(PICTURE_SUFFIXES)}), neither itself nor in the"
             " folders within it; expected is a folder for every camera"
         )
     return by_instant
@@ -130,7 +130,7 @@ def find_boards(
     RecordError                     a picture cannot be read
     CalibrationError                pictures of one camera differ in size; no board was found
     """
-    jobs = [(c, name, path) for c, by in pictures.items() for name, path in by.items()]
+    jobs = [(c, name, path) for c, files in pictures.items() for name, path in files.items()]
 
     def work(job: _Job) -> tuple[tuple[int, int], list[Sighting], float]:
         grey = eight_bits(read_grey(job[2]))
@@ -144,7 +144,7 @@ def find_boards(
     sizes = _sizes(jobs, [size for size, _, _ in results])
     blurred = _blurred(jobs, [seen for _, seen, _ in results], [width for _, _, width in results])
     sharp = [(*jobs[k], results[k][1]) for k in range(len(jobs)) if k not in blurred]
-    sightings = gathered([name for name, by in pictures.items() if by], sizes, sharp, targets)
+    sightings = gathered([name for name, files in pictures.items() if files], sizes, sharp, targets)
     return replace(
         sightings, notes=(*_without_pictures(pictures), *blurred.values(), *sightings.notes)
     )
@@ -155,8 +155,8 @@ def _without_pictures(pictures: Mapping[str, Mapping[str, Path]]) -> list[str]:
     return [
         f"camera '{camera}': its folder has no pictures ({', '.join(PICTURE_SUFFIXES)}); the camera"
         " is left out: were they copied, and are they of one of these kinds?"
-        for camera, by in pictures.items()
-        if not by
+        for camera, files in pictures.items()
+        if not files
     ]
 
 
@@ -193,13 +193,17 @@ def _blurred(
     of_camera: dict[str, list[float]] = {}
     for (camera, _, _), width in zip(jobs, widths, strict=True):
         of_camera.setdefault(camera, []).append(width)
-    usual = {camera: float(np.median(each)) for camera, each in of_camera.items()}
+    usual = {camera: float(np.median(edge_widths)) for camera, edge_widths in of_camera.items()}
     blurred = {}
     for k, ((camera, _, path), boards, width) in enumerate(zip(jobs, seen, widths, strict=True)):
         if width <= _BLURRED * usual[camera]:
             continue
         # Without a board found there may be none: such a picture may have no sharp edges either.
-        what = "blurred" if any(len(one.mark) for one in boards) else "no board found, or blurred"
+        what = (
+            "blurred"
+            if any(len(sighting.mark) for sighting in boards)
+            else "no board found, or blurred"
+        )
         blurred[k] = (
             f"{path}: {what}: its edges are {width:.1f} px wide and those of '{camera}' usually"
             f" {usual[camera]:.1f}; left out: did the board move?"
@@ -289,12 +293,12 @@ def gathered(
     )
 
 
-def find_videos(place: Path) -> dict[str, Path]:
+def find_videos(root: Path) -> dict[str, Path]:
     """List the videos of boards, one per camera.
 
     Parameters
     ----------
-    place : Path                    folder of videos named after the cameras, or with a folder for
+    root : Path                     folder of videos named after the cameras, or with a folder for
                                     every camera that contains its video
 
     Returns
@@ -305,12 +309,12 @@ def find_videos(place: Path) -> dict[str, Path]:
     ------
     RecordError                     there is no such folder, or a camera has several videos
     """
-    if not place.is_dir():
-        raise RecordError(f"{place}: no such folder; give one that has a folder for every camera")
+    if not root.is_dir():
+        raise RecordError(f"{root}: no such folder; give one that has a folder for every camera")
     videos: dict[str, Path] = {}
-    for path in sorted([*place.iterdir(), *place.glob("*/*")]):
+    for path in sorted([*root.iterdir(), *root.glob("*/*")]):
         if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
-            camera = path.stem if path.parent == place else path.parent.name
+            camera = path.stem if path.parent == root else path.parent.name
             if camera in videos:
                 raise RecordError(
                     f"{path}: is a second video of camera '{camera}', beside {videos[camera].name};"
@@ -344,9 +348,11 @@ def still_frames(
     for k, (camera, video) in enumerate(videos.items()):
         progress(f"video of {camera}", 0.5 * k / len(videos))
         motion[camera] = _motion(video)
-    _check_lengths(videos, {camera: len(one) for camera, one in motion.items()})
-    count = min(len(one) for one in motion.values())
-    largest = np.max([one[:count] / max(np.median(one), 1e-9) for one in motion.values()], axis=0)
+    _check_lengths(videos, {camera: len(amounts) for camera, amounts in motion.items()})
+    count = min(len(amounts) for amounts in motion.values())
+    largest = np.max(
+        [amounts[:count] / max(np.median(amounts), 1e-9) for amounts in motion.values()], axis=0
+    )
     sections = min(_MAX_SECTIONS, max(count // _MIN_FRAMES, 1))
     chosen = [
         int(part[largest[part].argmin()]) for part in np.array_split(np.arange(count), sections)
@@ -413,16 +419,16 @@ def without_repeats(sightings: Sightings, *, news: float = _NEWS) -> Sightings:
     Sightings                       with a note on how many were dropped
     """
     corners, keep = sightings.corners, []
-    kept: list[dict[tuple[int, int], np.ndarray]] = []
+    earlier: list[dict[tuple[int, int], np.ndarray]] = []
     for v in range(len(sightings.views)):
         rows = np.flatnonzero(corners.view == v)
         seen = {
             (int(corners.camera[r]), int(sightings.mark[r])): corners.pixel[r]
             for r in rows.tolist()
         }
-        if not any(_same(seen, other, sightings.sizes, news) for other in kept):
+        if not any(_same(seen, other, sightings.sizes, news) for other in earlier):
             keep.append(v)
-            kept.append(seen)
+            earlier.append(seen)
     dropped = len(sightings.views) - len(keep)
     if dropped == 0:
         return sightings

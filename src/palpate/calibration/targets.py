@@ -77,8 +77,8 @@ def _check_grid(columns: int, rows: int, spacing: float, *, minimum: int = 2) ->
 
 def _grid(columns: int, rows: int, spacing: float) -> Points:
     """Points of a grid, row by row, (columns * rows, 3)."""
-    place = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
-    return spacing * np.column_stack([place, np.zeros(len(place))])
+    cell = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+    return spacing * np.column_stack([cell, np.zeros(len(cell))])
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +126,8 @@ class Chessboard:
         if len(seen.mark) == 0:
             return seen
         # The detector is accurate to 1/3 px, the saddle point of the grey levels to 1/30 px.
-        place = scale * (seen.pixel + 0.5) - 0.5
-        return Sighting(seen.mark, _refined(picture, place, self.points, 0.5 * self.square))
+        coarse = scale * (seen.pixel + 0.5) - 0.5
+        return Sighting(seen.mark, _refined(picture, coarse, self.points, 0.5 * self.square))
 
 
 @dataclass(frozen=True, slots=True)
@@ -383,7 +383,7 @@ def _check_numbers(first: int, count: int, dictionary: str) -> None:
 
 
 def _whole(complete: bool, pixel: np.ndarray | None) -> Sighting:
-    """Sighting of all marks of a target, or of none."""
+    """Sighting of all marks of a target, or an empty one."""
     if not complete or pixel is None:
         return _NOTHING
     pixel = pixel.reshape(-1, 2).astype(np.float64)

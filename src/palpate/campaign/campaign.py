@@ -271,8 +271,8 @@ def motion_works(path: Path, packed: PackedSession, options: FitOptions) -> tupl
     keys, files = kept_motion_keys(session, options.pose), picture_files(session)
     works = []
     for names in (piece for group in groups.values() for piece in _pieces(group)):
-        own = {file for name in names for file in files[name]}
-        others = {file for each in files.values() for file in each} - own
+        needed = {file for name in names for file in files[name]}
+        others = {file for pictures in files.values() for file in pictures} - needed
         motions = {name: keys[name] for name in names}
         works.append(Work("motion", without_files(packed, others), options, motions))
     return tuple(works)
@@ -348,9 +348,9 @@ def _tables(path: Path) -> Mapping[str, Any]:
 def _pieces(instants: Mapping[str, int]) -> Iterator[Sequence[str]]:
     """Probings by name in pieces of enough instants; those that are left join the last piece."""
     piece, count, left = list[str](), 0, sum(instants.values())
-    for name, own in instants.items():
+    for name, instant_count in instants.items():
         piece.append(name)
-        count, left = count + own, left - own
+        count, left = count + instant_count, left - instant_count
         if min(count, left) >= _LEAST_INSTANTS:
             yield piece
             piece, count = [], 0

@@ -255,13 +255,13 @@ def _draw(axes: Axes, rows: Sequence[Row], name: str, factor: float, outlying: s
         ]
         if not chosen:
             continue
-        place = [k for k, _ in chosen]
+        position = [k for k, _ in chosen]
         value, low, high = (
             np.array([getattr(row, f"{name}{end}") for _, row in chosen], dtype=float) / factor
             for end in ("", "_low", "_high")
         )
         axes.errorbar(
-            place, value, [value - low, high - value], fmt="o", markersize=2.6, color=colour,
+            position, value, [value - low, high - value], fmt="o", markersize=2.6, color=colour,
             elinewidth=0.8, zorder=3 if is_outlier else 2,
         )  # fmt: skip
         for (k, row), y in (

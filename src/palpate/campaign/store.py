@@ -104,9 +104,9 @@ class Store:
             )
             known = {row.session: row for row in _rows(table)}
             table.execute("DELETE FROM sessions")
-            for place, item in enumerate(items):
+            for position, item in enumerate(items):
                 row = known.get(item.name, Row(item.name, item.group))
-                _insert(table, place, replace(row, group=item.group))
+                _insert(table, position, replace(row, group=item.group))
 
     def clear(self) -> None:
         """Remove what `begin` made, where nothing has come of it: the folder may go, too."""
@@ -144,11 +144,11 @@ class Store:
         RecordError                 the table cannot be written
         """
         with self._table() as table:
-            (place,) = table.execute(
+            (position,) = table.execute(
                 "SELECT place FROM sessions WHERE session = ?", (row.session,)
             ).fetchone()
             table.execute("DELETE FROM sessions WHERE session = ?", (row.session,))
-            _insert(table, place, row)
+            _insert(table, position, row)
 
     def result(self, work: Work) -> Path:
         """Folder of a fit's result, whether it exists or not.
@@ -294,8 +294,8 @@ def _rows(table: sqlite3.Connection) -> Iterable[Row]:
     return [Row(*cells) for cells in table.execute(f"SELECT {names} FROM sessions ORDER BY place")]
 
 
-def _insert(table: sqlite3.Connection, place: int, row: Row) -> None:
-    cells = (place, *astuple(row))
+def _insert(table: sqlite3.Connection, position: int, row: Row) -> None:
+    cells = (position, *astuple(row))
     table.execute(f"INSERT INTO sessions VALUES ({', '.join('?' * len(cells))})", cells)
 
 

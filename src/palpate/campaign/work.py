@@ -271,7 +271,7 @@ def _with_original_paths(text: str, work: Work, own_folder: Path) -> str:
     """A text in which file names refer to the session's original location."""
     # With the separator: the folder itself is named where the worker's own disk is full.
     unpacked, original = (
-        os.path.join(one, "") for one in (own_folder / "given", work.session.root)
+        os.path.join(folder, "") for folder in (own_folder / "given", work.session.root)
     )
     return text.replace(unpacked, original)
 
@@ -327,8 +327,8 @@ def without_files(packed: PackedSession, files: Iterable[Path]) -> PackedSession
     PackedSession
     """
     dropped = {Path(os.path.relpath(os.path.realpath(file), packed.root)) for file in files}
-    kept = {name: text for name, text in packed.files.items() if Path(name) not in dropped}
-    return replace(packed, files=kept, sums={name: packed.sums[name] for name in kept})
+    remaining = {name: text for name, text in packed.files.items() if Path(name) not in dropped}
+    return replace(packed, files=remaining, sums={name: packed.sums[name] for name in remaining})
 
 
 def unpack(files: Mapping[str, bytes], folder: Path) -> None:

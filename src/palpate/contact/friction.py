@@ -83,16 +83,16 @@ def own_compliances(block, frames):
     Both are (k, 3, 3).
     """
     k = len(frames)
-    own, inverse = np.zeros((k, 3, 3)), np.empty((k, 3, 3))
+    compliance, inverse = np.zeros((k, 3, 3)), np.empty((k, 3, 3))
     for i in range(k):
         for a in range(3):
             for b in range(3):
                 for c in range(3):
                     for d in range(3):
                         part = frames[i, a, c] * block[3 * i + c, 3 * i + d]
-                        own[i, a, b] += part * frames[i, b, d]
-        invert(own[i], inverse[i])
-    return own, inverse
+                        compliance[i, a, b] += part * frames[i, b, d]
+        invert(compliance[i], inverse[i])
+    return compliance, inverse
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -105,10 +105,10 @@ def sweep(block, frames, friction, residual, force, status, times):
     k = friction.size
     local, now, q, trial = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     flat = residual.reshape(-1)
-    own, inverse = own_compliances(block, frames)
+    compliance, inverse = own_compliances(block, frames)
     for step in range(times * k):
         i = step % k
-        w = own[i]
+        w = compliance[i]
         for a in range(3):
             now[a] = local[a] = component(frames, i, a, force)
         for a in range(3):
@@ -130,7 +130,7 @@ def sweep(block, frames, friction, residual, force, status, times):
 
 @numba.njit(cache=True, error_model="numpy")
 def slide_directions(frames, friction, residual, force, status, slide):
-    """Which way each sliding node goes on its tool: against its friction, where there is any."""
+    """Direction in which each sliding node moves on its tool: against its friction, if any."""
     for i in range(friction.size):
         for a in range(3):
             slide[i, a] = 0.0
@@ -286,21 +286,21 @@ def solve_together(response, given, frames, friction, free, residual, force, sta
     """
     if friction.size == 0:
         return True
-    forces, after, own, depth = force.copy(), residual.copy(), status.copy(), 0.0
+    forces, after, states, depth = force.copy(), residual.copy(), status.copy(), 0.0
     pull = np.empty(friction.size)
     for i in range(friction.size):
         depth = max(depth, abs(dot(free[i], frames[i, 0])))
     for _ in range(_CHANGES):
-        slide_directions(frames, friction, after, forces, own, slide)
+        slide_directions(frames, friction, after, forces, states, slide)
         for i in range(friction.size):
             pull[i] = friction[i] * dot(forces[i], frames[i, 0])
-        if not solve_once(response, given, frames, friction, free, after, forces, own, slide):
+        if not solve_once(response, given, frames, friction, free, after, forces, states, slide):
             return False
-        turn_friction(frames, friction, pull, forces, own, slide)
-        if not contradicted(frames, friction, after, forces, own, slide, depth):
+        turn_friction(frames, friction, pull, forces, states, slide)
+        if not contradicted(frames, friction, after, forces, states, slide, depth):
             assign(forces, force)
             assign(after, residual)
-            assign(own, status)
+            assign(states, status)
             return True
     return False
 

@@ -160,8 +160,8 @@ def move_tools(
     ):
         raise InputError("the tools are others than before; begin anew with start_contact")
     arrays = tool_arrays(tools, before.tools)
-    kept = [getattr(before, name).copy() for name in Nodal._fields[:-1]]
-    nodal = Nodal._make([*kept, np.zeros(len(rest))])
+    state = [getattr(before, name).copy() for name in Nodal._fields[:-1]]
+    nodal = Nodal._make([*state, np.zeros(len(rest))])
     rounds, response, changes = settle(
         arrays, rest, compliance, before.response, before.changes, nodal, _TOLERANCE, _MAX_ROUNDS
     )
@@ -206,7 +206,7 @@ def tool_arrays(now: Sequence[PlacedTool], previous: Sequence[PlacedTool]) -> To
     faces = [tool.faces for tool in tools]
     return ToolArrays(
         kind=np.array([_kind(tool) for tool in tools]),
-        start=np.cumsum([0, *(len(each) for each in faces)]),
+        start=np.cumsum([0, *(len(triangles) for triangles in faces)]),
         radius=np.array([tool.radius for tool in tools]),
         reach=np.array([tool.reach for tool in tools]),
         faces=np.concatenate(faces),

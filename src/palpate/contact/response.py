@@ -57,25 +57,25 @@ def updated_response(response, changes, compliance, tools, nodal):
     if changes > REBUILT_AFTER:
         assign(wanted, nodal.given)
         return fresh_response(compliance, nodes, wanted), 0
-    kept, out = response.copy(), np.zeros((3 * nodes.size, 3 * nodes.size))
-    of = np.full(wanted.size, -1)
+    pivoted, out = response.copy(), np.zeros((3 * nodes.size, 3 * nodes.size))
+    row_of = np.full(wanted.size, -1)
     for j in range(before.size):
         i = before[j]
         if wanted[i] == nodal.given[i]:
-            of[i] = j
+            row_of[i] = j
         elif nodal.given[i] == BY_DISPLACEMENT:
-            pivot(kept, j)
+            pivot(pivoted, j)
     for h in range(nodes.size):
         for g in range(nodes.size):
-            j, i = of[nodes[h]], of[nodes[g]]
+            j, i = row_of[nodes[h]], row_of[nodes[g]]
             if j >= 0 and i >= 0:
                 for a in range(3):
                     for b in range(3):
-                        out[3 * h + a, 3 * g + b] = kept[3 * j + a, 3 * i + b]
+                        out[3 * h + a, 3 * g + b] = pivoted[3 * j + a, 3 * i + b]
     for h in range(nodes.size):
-        if of[nodes[h]] < 0:
-            append(out, h, compliance, nodes, wanted, of)
-            of[nodes[h]] = h
+        if row_of[nodes[h]] < 0:
+            append(out, h, compliance, nodes, wanted, row_of)
+            row_of[nodes[h]] = h
             if wanted[nodes[h]] == BY_DISPLACEMENT:
                 pivot(out, h)
     assign(wanted, nodal.given)
@@ -93,22 +93,22 @@ def fresh_response(compliance, nodes, given):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def append(response, h, compliance, nodes, given, of):
-    """Append one node, its force given; `of` is negative for nodes that are not in yet."""
+def append(response, h, compliance, nodes, given, row_of):
+    """Append one node, its force given; `row_of` is negative for nodes that are not in yet."""
     force, column = np.empty(3), np.empty(3 * nodes.size)
     for a in range(3):
         # Compliance is symmetric, and the response is so up to signs: a column is a row.
         by_force = compliance[3 * nodes[h] + a]
         column[:] = 0.0
         for g in range(nodes.size):
-            if of[nodes[g]] >= 0 and given[nodes[g]] == BY_DISPLACEMENT:
+            if row_of[nodes[g]] >= 0 and given[nodes[g]] == BY_DISPLACEMENT:
                 for b in range(3):
                     force[b] = by_force[3 * nodes[g] + b]
                 add_columns(response, g, force, column)
         for b in range(3):
             column[3 * h + b] = by_force[3 * nodes[h] + b]
         for g in range(nodes.size):
-            if g == h or of[nodes[g]] < 0:
+            if g == h or row_of[nodes[g]] < 0:
                 continue
             sign = -1.0 if given[nodes[g]] == BY_DISPLACEMENT else 1.0
             for b in range(3):
@@ -124,7 +124,7 @@ def append(response, h, compliance, nodes, given, of):
     for a in range(3):
         for b in range(3):
             for g in range(nodes.size):
-                if of[nodes[g]] >= 0 and given[nodes[g]] == BY_DISPLACEMENT:
+                if row_of[nodes[g]] >= 0 and given[nodes[g]] == BY_DISPLACEMENT:
                     for c in range(3):
                         constrained = compliance[3 * nodes[h] + a, 3 * nodes[g] + c]
                         response[3 * h + a, 3 * h + b] += (
@@ -135,11 +135,11 @@ def append(response, h, compliance, nodes, given, of):
 @numba.njit(cache=True, error_model="numpy")
 def pivot(response, j):
     """Exchange force and displacement of one node as given and found; its own inverse."""
-    own, inverse, f = np.empty((3, 3)), np.empty((3, 3)), 3 * j
+    diagonal, inverse, f = np.empty((3, 3)), np.empty((3, 3)), 3 * j
     for a in range(3):
         for b in range(3):
-            own[a, b] = response[f + a, f + b]
-    invert(own, inverse)
+            diagonal[a, b] = response[f + a, f + b]
+    invert(diagonal, inverse)
     rows = np.zeros((3, len(response)))
     for a in range(3):
         for b in range(3):

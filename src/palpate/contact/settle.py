@@ -353,7 +353,7 @@ def release_nodes(tools, rest, nodes, nodal):
 
 @numba.njit(cache=True, error_model="numpy")
 def touching(near, tool_of):
-    """Those of some nodes that touch a tool."""
+    """Nodes that touch a tool."""
     out = np.empty(near.size, dtype=np.int64)
     count = 0
     for i in near:

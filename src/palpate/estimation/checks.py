@@ -125,11 +125,13 @@ def force_deviations(minimum: Evaluation) -> Float[np.ndarray, " k"]:
     """
     problem, covariances = minimum.problem, minimum.normal.own_covariances
     deviations = []
-    for probe, block, own in zip(problem.probes, problem.layout.blocks, covariances, strict=True):
+    for probe, block, covariance in zip(
+        problem.probes, problem.layout.blocks, covariances, strict=True
+    ):
         seen = probe.observations
         length = float(np.linalg.norm(seen.force))
         along = seen.force_std * seen.force / max(length, np.finfo(float).tiny)
-        left = float(along @ along - along @ own[:3, :3] @ along)
+        left = float(along @ along - along @ covariance[:3, :3] @ along)
         known = left > 1e-9 * float(along @ along)
         deviations.append(along @ minimum.theta[block.force] / np.sqrt(left) if known else 0.0)
     return np.array(deviations)
@@ -191,19 +193,19 @@ def _impossible_families(minimum: Evaluation) -> list[Contradiction]:
         farthest = max(value for value, _ in family)
         if _chance(family) < _IMPOSSIBLE_FAMILY or farthest > IMPOSSIBLE:
             contradictions.append(Contradiction("errors", farthest, source))
-    if not contradictions and _chance([each for family in families.values() for each in family]) < (
-        FALSE_ALARM
-    ):
+    if not contradictions and _chance(
+        [error for family in families.values() for error in family]
+    ) < (FALSE_ALARM):
         source = min(families, key=lambda name: _chance(families[name]))
         contradictions = [
             Contradiction("errors", max(value for value, _ in families[source]), source)
         ]
-    return sorted(contradictions, key=lambda each: -each.sigmas)
+    return sorted(contradictions, key=lambda contradiction: -contradiction.sigmas)
 
 
 def _chance(errors: Sequence[tuple[float, float]]) -> float:
-    """Probability of errors so far off in all, from their sizes and degrees of freedom."""
-    square, degrees = sum(value**2 for value, _ in errors), sum(each for _, each in errors)
+    """Probability that errors are together so far off, from their sizes and degrees of freedom."""
+    square, degrees = sum(value**2 for value, _ in errors), sum(freedom for _, freedom in errors)
     return float(chdtrc(max(degrees, 1.0), square))
 
 
@@ -214,10 +216,14 @@ def _errors(minimum: Evaluation) -> Iterator[tuple[str, float, float]]:
     named = [(problem.shared, problem.layout.errors)]
     named += [(problem.own(k), block.errors) for k, block in enumerate(problem.layout.blocks)]
     for parameters, where in named:
-        for parameter, value, own in zip(parameters, theta[where], std[where], strict=True):
+        for parameter, value, deviation in zip(parameters, theta[where], std[where], strict=True):
             if not parameter.is_material:
-                yield parameter.source, float(value), float(own)
-    yield from ((FORCES, float(each), 0.0) for each in force_deviations(minimum) if each != 0.0)
+                yield parameter.source, float(value), float(deviation)
+    yield from (
+        (FORCES, float(deviation), 0.0)
+        for deviation in force_deviations(minimum)
+        if deviation != 0.0
+    )
 
 
 def _unexplained(minimum: Evaluation) -> list[Contradiction]:
@@ -238,15 +244,15 @@ def _unexplained(minimum: Evaluation) -> list[Contradiction]:
         # Where the surface turns away from the cameras, errors are large and alike.
         weight = (np.median(claim) / claim)[:, None]
         rows = probe.start[points, None] + np.arange(3)
-        place = probe.position[points]
+        position = probe.position[points]
         moved = np.sqrt(((probe.unwhitened(probe.measured)[rows] * weight) ** 2).mean())
         known = np.sqrt(((unknown.size[points, None] * weight) ** 2).mean())
         known = max(float(known), FINEST * float(moved))
         exceeds = bool(problem.level[probe.group].min() > _EXCEEDED) and probe.has_claims
-        size, where, square = _pattern(place, left[rows] * weight, exceeds=exceeds)
+        size, where, square = _pattern(position, left[rows] * weight, exceeds=exceeds)
         if size > (0.0 if problem.scale > _LARGEST_SCALE else _LARGEST_PATTERN * known):
             share = float(np.sqrt(square.mean() / 3.0) / moved)
-            landmark = _landmark(probe.observations.landmarks, where, place)
+            landmark = _landmark(probe.observations.landmarks, where, position)
             contradictions.append(
                 Contradiction(
                     "unexplained",
@@ -257,17 +263,17 @@ def _unexplained(minimum: Evaluation) -> list[Contradiction]:
                     landmark,
                 )
             )
-    return sorted(contradictions, key=lambda each: -each.share)
+    return sorted(contradictions, key=lambda contradiction: -contradiction.share)
 
 
 def _pattern(
-    place: Points, residual: Float[np.ndarray, "n 3"], *, exceeds: bool
+    position: Points, residual: Float[np.ndarray, "n 3"], *, exceeds: bool
 ) -> tuple[float, Vector3, Float[np.ndarray, " n"]]:
     """Size [m] of what residuals have in common across the body, at one place, or, where they
     exceed what was claimed, among neighbours; 0 where noise explains it. Then where it is largest,
     and the squares of the smoothed residuals."""
-    count = max(_FEWEST_NEIGHBOURS, len(place) // _NEIGHBOUR_SHARE)
-    smooth = np.median(residual[cKDTree(place).query(place, count)[1]], axis=1)
+    count = max(_FEWEST_NEIGHBOURS, len(position) // _NEIGHBOUR_SHARE)
+    smooth = np.median(residual[cKDTree(position).query(position, count)[1]], axis=1)
     square = (smooth**2).sum(axis=1)
     noise = _MEAN_OVER_MEDIAN * float(np.median(square))
     local = np.sqrt(max(float(square.mean()) - noise, 0.0) / 3.0)
@@ -275,12 +281,16 @@ def _pattern(
     stands_out = square.mean() > _CONCENTRATED * noise
     if exceeds and square.mean() > _ALIKE * white:
         local, stands_out = float(np.sqrt(square.mean() / 3.0)), True
-    errors, shared = _distant_correlation(place / np.linalg.norm(np.ptp(place, axis=0)), residual)
+    errors, shared = _distant_correlation(
+        position / np.linalg.norm(np.ptp(position, axis=0)), residual
+    )
     size = max(local if stands_out else 0.0, shared if errors > _SIGNIFICANT else 0.0)
-    return float(size), place[int(square.argmax())], square
+    return float(size), position[int(square.argmax())], square
 
 
-def _distant_correlation(place: Points, residual: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
+def _distant_correlation(
+    position: Points, residual: Float[np.ndarray, "n 3"]
+) -> tuple[float, float]:
     """Correlation of residuals of distant blocks: in standard errors, and as a length [m].
 
     Residuals are summed over blocks; under the null hypothesis of noise the signs of the blocks'
@@ -291,10 +301,10 @@ def _distant_correlation(place: Points, residual: Float[np.ndarray, "n 3"]) -> t
     longest = _LONGEST * float(np.median(length))
     tiny = np.finfo(float).tiny
     truncated = residual * np.minimum(1.0, longest / np.maximum(length, tiny))[:, None]
-    cells = np.floor(place / _BLOCK).astype(np.int64)
+    cells = np.floor(position / _BLOCK).astype(np.int64)
     _, block, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     sums = np.zeros((len(count), 6))
-    np.add.at(sums, block.ravel(), np.hstack([place, truncated]))
+    np.add.at(sums, block.ravel(), np.hstack([position, truncated]))
     centre, total = sums[:, :3] / count[:, None], sums[:, 3:] / np.sqrt(count)[:, None]
     distance = np.linalg.norm(centre[:, None] - centre[None], axis=2)
     first, second = np.nonzero(np.triu((distance > _DISTANT[0]) & (distance < _DISTANT[1])))
@@ -308,13 +318,13 @@ def _distant_correlation(place: Points, residual: Float[np.ndarray, "n 3"]) -> t
 
 def _landmark(
     landmarks: Mapping[str, Float[np.ndarray, "_ 3"]],
-    place: Vector3,
+    point: Vector3,
     position: Float[np.ndarray, "p 3"],
 ) -> str:
     """The landmark nearest to a place, if one is near."""
     reach = _NEAR * float(np.linalg.norm(np.ptp(position[np.isfinite(position[:, 0])], axis=0)))
     distance = {
-        name: float(np.linalg.norm(points - place, axis=1).min())
+        name: float(np.linalg.norm(points - point, axis=1).min())
         for name, points in landmarks.items()
     }
     nearest = min(distance, key=lambda name: distance[name], default="")

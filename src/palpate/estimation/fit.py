@@ -233,7 +233,8 @@ def fit(
         young_modulus=reported.young_modulus,
         identifiable=identifiable,
         probes=tuple(
-            probe_estimate(*single, own) for single, own in zip(singles, fits, strict=True)
+            probe_estimate(*single, probe_fit)
+            for single, probe_fit in zip(singles, fits, strict=True)
         ),
         seconds={"fit": time.perf_counter() - start},
         method=settings.method,
@@ -275,8 +276,8 @@ def joint_minimum(
 
 
 def contradicted(estimate: Estimate) -> Estimate:
-    """The estimate of a model that does not hold: the best fit, without intervals, as these are
-    those of a right model; a constant that is not determined keeps the range of its values.
+    """The estimate of a model that does not hold: the best fit without intervals, which would be
+    those of a correct model; a constant that is not determined keeps the range of its values.
 
     Parameters
     ----------
@@ -369,12 +370,14 @@ def _fit_notes(
     if contradictions:
         notes.append(_contradiction_note(contradictions[0]))
     if freed:
-        names = ", ".join(f"{name!r} by {by:.1f}" for name, by in freed.items())
+        names = ", ".join(f"{name!r} by {sigmas:.1f}" for name, sigmas in freed.items())
         notes.append(
             "A force that disagrees with all others was left out, in standard deviations of the"
             f" difference: {names}; check that sensor reading and its unit."
         )
-    surprising = sorted(filter(lambda each: each.is_surprising, errors), key=_sigmas, reverse=True)
+    surprising = sorted(
+        filter(lambda error: error.is_surprising, errors), key=_sigmas, reverse=True
+    )
     if surprising:
         notes.append(_error_note(surprising))
     if posterior.is_beyond_range():
@@ -405,11 +408,11 @@ def _contradiction_note(contradiction: Contradiction) -> str:
             f" what the session allows: either that is wrong or the model is ({_OTHER_SUSPECTS})."
         )
     near = f"near {contradiction.landmark}, " if contradiction.landmark else ""
-    place = ", ".join(f"{1e3 * x:.1f}" for x in contradiction.place)
+    position = ", ".join(f"{1e3 * x:.1f}" for x in contradiction.place)
     return (
         f"The model leaves {100.0 * contradiction.share:.2g} % of the motion of probing"
         f" {contradiction.source!r} unexplained, {contradiction.sigmas:.1f} times as much as its"
-        f" mesh accounts for, most of it {near}around ({place}) mm. It may be"
+        f" mesh accounts for, most of it {near}around ({position}) mm. It may be"
         f" {_SUSPECTS.get(contradiction.landmark, _OTHER_SUSPECTS)}."
     )
 
@@ -450,11 +453,13 @@ def _noise_notes(posterior: Posterior) -> list[str]:
     if estimated:
         parts = [f"{_length_text(level[g])} in {GROUP_NAMES[g]}" for g in estimated]
         notes.append(f"Noise levels were estimated from the residuals: {', '.join(parts)}.")
-        own = np.sqrt(np.mean(np.concatenate([each.size for each in problem.unknown]) ** 2))
-        if max(level[g] for g in estimated) < own:
+        model_error = np.sqrt(
+            np.mean(np.concatenate([unknown.size for unknown in problem.unknown]) ** 2)
+        )
+        if max(level[g] for g in estimated) < model_error:
             notes[-1] = (
                 "The displacements have no noise to speak of: what is left over is no more than the"
-                f" model's own error, {_length_text(own)}."
+                f" model's own error, {_length_text(model_error)}."
             )
     raised = [int(g) for g in present if g >= FIRST_CLAIMED and level[g] > 1.1]
     if raised:

@@ -219,7 +219,7 @@ def _updated(minimum: Evaluation, excess: float) -> Problem:
     lift = rows / max(rows - total, 0.5)
     expected = problem.expected
     squares = [lift * row**2 for row in minimum.residual]
-    white = [problem.scale**2 * each.variance for each in problem.unknown]
+    white = [problem.scale**2 * unknown_rows.variance for unknown_rows in problem.unknown]
     level = noise_levels(problem.probes, squares, white)
     coefficients = np.concatenate([theta[block.unknown] for block in problem.layout.blocks])
     asked = _CLAIM_PARAMETERS + float(coefficients @ coefficients)
@@ -277,7 +277,7 @@ def _at(
         if terms.shape[1] > 1:
             measured = measured - terms[:, 1, :4] @ np.append(seen.force, 1.0)
         columns.append((moved, measured, 1.0 / probe.unit**2))
-    moved, measured, weight = (np.concatenate(each) for each in zip(*columns, strict=True))
+    moved, measured, weight = (np.concatenate(column) for column in zip(*columns, strict=True))
     return moved, measured, weight
 
 
@@ -305,7 +305,7 @@ def _stated_excess(
 ) -> float:
     plain = sum(design.T @ design for design in designs)
     mixed = [p.correlated(d, sharing) for p, d in zip(problem.probes, designs, strict=True)]
-    whole = sum(design.T @ each for design, each in zip(designs, mixed, strict=True))
+    whole = sum(design.T @ product for design, product in zip(designs, mixed, strict=True))
     whole = whole + _REFERENCE_SHARE * _between_probings(problem.probes, designs, mixed)
     ratio = float(np.trace(np.linalg.lstsq(plain, whole, rcond=1e-12)[0])) / 2.0
     return max(1.0, ratio)
@@ -335,15 +335,18 @@ def _block_excess(
         named = (parts / sigma) @ at.jacobian[index][d:].T
         smooth = problem.unknown[index].with_columns(parts, 1.0 / sigma)
         leak = np.hstack([named, smooth]).reshape(_BLOCKS, 2, -1)
-        own = np.linalg.inv(normal.own[index])
-        taken = np.einsum("bik,kl,bjl->bij", leak, own, leak) + information @ metric @ information
+        covariance = np.linalg.inv(normal.own[index])
+        taken = (
+            np.einsum("bik,kl,bjl->bij", leak, covariance, leak)
+            + information @ metric @ information
+        )
         plain = np.einsum("bij,ij->b", information, metric)
         lost = np.einsum("bij,ij->b", taken, metric)
-        kept = np.clip(1.0 - lost / np.maximum(plain, np.finfo(float).tiny), 0.0, 1.0)
+        remaining = np.clip(1.0 - lost / np.maximum(plain, np.finfo(float).tiny), 0.0, 1.0)
         correlated = np.stack(
             [part @ probe.correlated(part.T, sharing) for part in parts.reshape(_BLOCKS, 2, -1)]
         )
-        noise = kept[:, None, None] * (correlated @ metric)
+        noise = remaining[:, None, None] * (correlated @ metric)
         observed += float(np.einsum("bi,ij,bj->", sums, metric, sums))
         mean += float(np.einsum("bii->", noise))
         square += float(np.einsum("bij,bji->", noise, noise))
@@ -375,10 +378,10 @@ def _projected_designs(at: Evaluation) -> list[Float[np.ndarray, "r 2"]]:
     for table, unknown, solution, variance in zip(
         at.jacobian, problem.unknown, normal.solutions, problem.variance(), strict=True
     ):
-        own = -solution[:, :d] @ common
+        change = -solution[:, :d] @ common
         named = len(table) - d
-        moved = np.stack([unknown.moved(each) for each in own[named:].T], axis=1)
-        design = table[:d].T @ common + table[d:].T @ own[:named] + moved
+        moved = np.stack([unknown.moved(coefficients) for coefficients in change[named:].T], axis=1)
+        design = table[:d].T @ common + table[d:].T @ change[:named] + moved
         designs.append(design / np.sqrt(variance)[:, None])
     return designs
 
@@ -412,11 +415,11 @@ def _between_probings(
     """Sum over all pairs of probings of the products of their designs at points that both have, in
     pictures with the same reference."""
     names = [_reference_points(probe) for probe in probes]
-    counts = Counter(name for own in names for name in own)
+    counts = Counter(name for first_rows in names for name in first_rows)
     number = {name: k for k, name in enumerate(name for name in counts if counts[name] > 1)}
     plain, correlated = np.zeros((2, len(probes), 3 * len(number), 2))
-    for k, own in enumerate(names):
-        for name, start in own.items():
+    for k, first_rows in enumerate(names):
+        for name, start in first_rows.items():
             if name in number:
                 at, rows = slice(3 * number[name], 3 * number[name] + 3), slice(start, start + 3)
                 plain[k, at], correlated[k, at] = designs[k][rows], mixed[k][rows]
@@ -431,7 +434,7 @@ def _reference_points(probe: MeasuredComponents) -> dict[tuple[str, bytes], int]
     if reference is None:
         return {}
     return {
-        (reference, place.tobytes()): int(start)
-        for place, start, count in zip(probe.position, probe.start, probe.components, strict=True)
-        if count == 3 and np.isfinite(place[0])
+        (reference, point.tobytes()): int(start)
+        for point, start, count in zip(probe.position, probe.start, probe.components, strict=True)
+        if count == 3 and np.isfinite(point[0])
     }

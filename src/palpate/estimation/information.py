@@ -130,7 +130,7 @@ def fisher_information(
     )
     theta = np.zeros(problem.layout.size)
     theta[:2] = poisson_ratio, np.log(shear_modulus)
-    theta[problem.layout.errors] = [(errors or {}).get(each.name, 0.0) for each in problem.shared]
+    theta[problem.layout.errors] = [(errors or {}).get(error.name, 0.0) for error in problem.shared]
     excess = stated_excess(Evaluation(problem, theta))
     at = Evaluation(replace(problem, information=problem.information / excess), theta)
     moved = _moved(problem, theta)

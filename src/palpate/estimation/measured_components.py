@@ -121,8 +121,8 @@ class MeasuredComponents:
     def component_variance(self, variance: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
         """Variance of the x, y and z components as measured, from that of the rows, (r,) [m^2]."""
         k, inverse = len(self.whitening), np.linalg.inv(self.whitening)
-        own = np.einsum("kab,kb->ka", inverse**2, variance[: 3 * k].reshape(k, 3))
-        return np.append(own.ravel(), variance[3 * k :])
+        blocks = np.einsum("kab,kb->ka", inverse**2, variance[: 3 * k].reshape(k, 3))
+        return np.append(blocks.ravel(), variance[3 * k :])
 
     def correlated(
         self, columns: Float[np.ndarray, "r c"], sharing: float

@@ -56,21 +56,21 @@ class NormalEquations:
     def own_covariances(self) -> list[Float[np.ndarray, "_ _"]]:
         """Posterior covariance of each probing's own parameters, (n, n)."""
         return [
-            np.linalg.inv(own) + solution[:, :-1] @ self.covariance @ solution[:, :-1].T
-            for own, solution in zip(self.own, self.solutions, strict=True)
+            np.linalg.inv(information) + solution[:, :-1] @ self.covariance @ solution[:, :-1].T
+            for information, solution in zip(self.own, self.solutions, strict=True)
         ]
 
     @cached_property
     def std(self) -> Float[np.ndarray, " n"]:
         """Posterior standard deviation of every entry of theta."""
         every = (self.covariance, *self.own_covariances)
-        return np.sqrt(np.concatenate([np.diag(each) for each in every]))
+        return np.sqrt(np.concatenate([np.diag(covariance) for covariance in every]))
 
     def covariance_with(self, direction: Float[np.ndarray, "2"]) -> Float[np.ndarray, " n"]:
         """Posterior covariance of every entry of theta with a combination of (nu, log G)."""
         common = self.covariance[:, :2] @ direction
-        own = (-solution[:, :-1] @ common for solution in self.solutions)
-        return np.concatenate([common, *own])
+        covariances = (-solution[:, :-1] @ common for solution in self.solutions)
+        return np.concatenate([common, *covariances])
 
     def step(
         self, fixed: Sequence[int], poisson_ratio: float, bounds: tuple[float, float]
@@ -174,7 +174,8 @@ class Evaluation:
         """Expected curvature of the loss over its robust weights: scoring, not plain reweighting,
         takes the mean slope of the score in place of the mean weight."""
         weight = [
-            each[probe.start] for each, probe in zip(self.weights, self.problem.probes, strict=True)
+            weights[probe.start]
+            for weights, probe in zip(self.weights, self.problem.probes, strict=True)
         ]
         slope = self.moments().slope / float(np.concatenate(weight).mean())
         return self.problem.information * max(slope, SMALLEST_SLOPE)
@@ -204,12 +205,14 @@ def _normal_equations(at: Evaluation) -> NormalEquations:
         information = np.delete(np.delete(information, len(table), 0), len(table), 1)
         score = np.delete(score, len(table))
         prior = precision[block.whole]
-        own = information[d:, d:] + np.diag(prior)
+        own_information = information[d:, d:] + np.diag(prior)
         own_score = score[d:] - prior * theta[block.whole]
-        solution = np.linalg.solve(own, np.column_stack([information[d:, :d], own_score]))
+        solution = np.linalg.solve(
+            own_information, np.column_stack([information[d:, :d], own_score])
+        )
         parts.append(information[:d, :d] - information[:d, d:] @ solution[:, :d])
         gradients.append(score[:d] - information[:d, d:] @ solution[:, d])
-        inner.append(own)
+        inner.append(own_information)
         solutions.append(solution)
     prior = precision[:d]
     return NormalEquations(
@@ -242,9 +245,9 @@ def gram(
     -------
     (t, t) float                    t = s + `UnknownRows.count`
     """
-    own = weighted_products(columns * weight, columns)
+    named = weighted_products(columns * weight, columns)
     cross, whole = problem.unknown[index].products(columns, weight)
-    return np.block([[own, cross], [cross.T, whole]])
+    return np.block([[named, cross], [cross.T, whole]])
 
 
 def determined(minimum: Evaluation) -> tuple[float, float]:
@@ -263,9 +266,9 @@ def determined(minimum: Evaluation) -> tuple[float, float]:
     MacKay, Bayesian interpolation, Neural Computation 4 (1992), eq. 4.5
     """
     layout = minimum.problem.layout
-    kept = 1.0 - minimum.problem.precision() * minimum.normal.std**2
-    unknown = sum(float(kept[block.unknown].sum()) for block in layout.blocks)
-    return float(kept.sum()), unknown
+    determinacy = 1.0 - minimum.problem.precision() * minimum.normal.std**2
+    unknown = sum(float(determinacy[block.unknown].sum()) for block in layout.blocks)
+    return float(determinacy.sum()), unknown
 
 
 def _solved(matrix: np.ndarray, right: np.ndarray, free: np.ndarray) -> Float[np.ndarray, " d"]:

@@ -73,7 +73,7 @@ class NuisanceParameter:
 
     @property
     def source(self) -> str:
-        """Source in the uncertainty budget that it is part of."""
+        """Source of the uncertainty budget to which it belongs."""
         return self.of or self.name
 
 

@@ -279,15 +279,15 @@ def _eliminated(
         )  # fmt: skip
         products = factor * gram(problem, index, columns, minimum.weights[index] / variances[index])
         prior, at = precision[block.whole], theta[block.whole]
-        own = products[size:, size:] + np.diag(prior)
+        information = products[size:, size:] + np.diag(prior)
         cross = products[size:, :size].copy()
         cross[:, -1] -= prior * at
-        shared += products[:size, :size] - cross.T @ np.linalg.solve(own, cross)
+        shared += products[:size, :size] - cross.T @ np.linalg.solve(information, cross)
         shared[-1, -1] += float(prior @ at**2)
     if not m:
         return shared
-    kept = shared[m:, :m] @ np.linalg.solve(shared[:m, :m], shared[:m, m:])
-    return shared[m:, m:] - kept
+    explained_by = shared[m:, :m] @ np.linalg.solve(shared[:m, :m], shared[:m, m:])
+    return shared[m:, m:] - explained_by
 
 
 def _scaling(
@@ -473,8 +473,8 @@ def uncertainty_budget(
     for name, direction in directions(posterior.minimum.poisson_ratio).items():
         variance = dict.fromkeys(sources[2:], 0.0)
         contribution = precision * normal.covariance_with(direction) ** 2
-        for source, each in zip(sources[2:], contribution[2:].tolist(), strict=True):
-            variance[source] += each
+        for source, share in zip(sources[2:], contribution[2:].tolist(), strict=True):
+            variance[source] += share
         total = posterior.error(name) ** 2
         variance[POINTS] = max(total - sum(variance.values()), 0.0)
         parts[name] = variance

@@ -94,7 +94,7 @@ def predictions_of(
     tuple of Prediction
     """
     measured = [observed_rows_of(probe) for probe in probes]
-    rows = tuple(each.everywhere() for each in measured)
+    rows = tuple(components.everywhere() for components in measured)
     theta, common = minimum.theta, minimum.problem.layout.common
     problem = minimum.problem.of(rows, minimum.problem.shared, theta)
     whole = np.zeros(problem.layout.size)
@@ -106,7 +106,7 @@ def predictions_of(
     ):
         variance = _variance(problem, k, table, minimum.normal.covariance, sizes)
         count = 3 * len(probe.position)
-        moved, std = (each[:count].reshape(-1, 3) for each in (-residual, np.sqrt(variance)))
+        moved, std = (values[:count].reshape(-1, 3) for values in (-residual, np.sqrt(variance)))
         noise = np.full(count + 3, np.nan)
         level = seen.sigma(minimum.problem.level) ** 2
         noise[seen.rows] = np.sqrt(seen.component_variance(level))
@@ -126,16 +126,16 @@ def _variance(
     (`Problem.linearised`) and the covariance of the common parameters."""
     block, common = problem.layout.blocks[index], len(covariance)
     named = problem.sources[block.whole.start : block.errors.stop]
-    own = np.array([sizes.get(source, 1.0) for source in named])
-    variance = np.square(own) @ np.square(table[common:])
+    size = np.array([sizes.get(source, 1.0) for source in named])
+    variance = np.square(size) @ np.square(table[common:])
     variance += (table[:common] * (covariance @ table[:common])).sum(axis=0)
     return variance + problem.scale**2 * problem.unknown[index].total_variance()
 
 
 def sizes_of_errors(minimum: Evaluation) -> dict[str, float]:
-    """Size of the errors of single probings over that of their priors, by source, which predictions
-    take those of other probings to be, too. Where the points that were fitted are few about a tool,
-    they tell little of the model's error there: it stays.
+    """Size of the errors of single probings over that of their priors, by source; predictions
+    assume the same of other probings. Where few points about a tool were fitted, they say little
+    about the model's error there, and it stays as it is.
 
     Parameters
     ----------
@@ -168,12 +168,12 @@ def size_of_errors(value: Float[np.ndarray, " n"], std: Float[np.ndarray, " n"])
     Empirical Bayes: Efron and Morris, Data analysis using Stein's estimator and its
     generalizations, Journal of the American Statistical Association 70 (1975)
     """
-    told = 1.0 - np.square(std)
-    known = told > 1e-9
-    told, value = told[known], value[known]
+    determined = 1.0 - np.square(std)
+    known = determined > 1e-9
+    determined, value = determined[known], value[known]
     # A prior of variance 1 leaves these of a likelihood with mean `value / told`.
-    variance = np.square(_SIZES)[:, None] + (1.0 - told) / told
-    log = -0.5 * (np.log(variance) + np.square(value / told) / variance).sum(axis=1)
+    variance = np.square(_SIZES)[:, None] + (1.0 - determined) / determined
+    log = -0.5 * (np.log(variance) + np.square(value / determined) / variance).sum(axis=1)
     log -= 0.5 * np.square(np.log(_SIZES) / _FACTOR)
     share = np.cumsum(np.exp(log - log.max()))
     return float(_SIZES[np.searchsorted(share, 0.5 * share[-1])])
@@ -302,13 +302,13 @@ def probe_estimate(
     ProbeEstimate                   residuals [m] without the points that count as rejected
     """
     observed = np.isfinite(fit.residual).any(axis=1)
-    kept = observed & (fit.weight.max(axis=1, initial=0.0) >= _MIN_WEIGHT)
+    accepted = observed & (fit.weight.max(axis=1, initial=0.0) >= _MIN_WEIGHT)
     error = score = within = None
     if fit.left_out_predicted is not None:
-        off = fit.residual[kept] + fit.predicted[kept] - fit.left_out_predicted[kept]
+        off = fit.residual[accepted] + fit.predicted[accepted] - fit.left_out_predicted[accepted]
         error, known = _rms(off), np.isfinite(off)
         if fit.left_out_sigma is not None and known.any():
-            scores = off[known] / fit.left_out_sigma[kept][known]
+            scores = off[known] / fit.left_out_sigma[accepted][known]
             score = float(np.sqrt(np.square(scores).mean()))
             within = float((np.abs(scores) < HALF_95).mean())
     return ProbeEstimate(
@@ -318,8 +318,8 @@ def probe_estimate(
         young_modulus=constants.young_modulus,
         observed=int(observed.sum()),
         missing=int((~observed).sum()),
-        rejected=int((observed & ~kept).sum()),
-        rms_residual=_rms(fit.residual[kept]),
+        rejected=int((observed & ~accepted).sum()),
+        rms_residual=_rms(fit.residual[accepted]),
         prediction_error=error,
         prediction_score=score,
         prediction_within=within,

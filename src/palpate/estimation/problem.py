@@ -90,7 +90,7 @@ class Layout:
 @dataclass(frozen=True, slots=True, eq=False)
 class Expansion:
     """Model of one probing's rows, bilinear in load and errors; its response is linear in Poisson's
-    ratio about a reference, effects of errors are those there.
+    ratio about a reference, with the effects of errors there.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class Expansions(Sequence[Expansion]):
         return len(self.probes)
 
     def __getitem__(self, index: Any) -> Any:
-        """That of one probing, or those of some."""
+        """Expansion of one probing, or expansions of several."""
         if isinstance(index, slice):
             return replace(self, probes=self.probes[index])
         return _expansion(self.probes[index], self.shared, self.poisson_ratio)
@@ -174,10 +174,10 @@ class Problem:
     @property
     def sources(self) -> list[str]:
         """Source in the uncertainty budget of every entry of theta; empty for the constants."""
-        sources = ["", "", *(each.source for each in self.shared)]
+        sources = ["", "", *(error.source for error in self.shared)]
         for index, (seen, rows) in enumerate(zip(self.probes, self.unknown, strict=True)):
             sources += [FORCES] * 3 + [MOTIONS] * len(seen.observations.motion)
-            sources += [each.source for each in self.own(index)] + [MODEL] * rows.count
+            sources += [error.source for error in self.own(index)] + [MODEL] * rows.count
         return sources
 
     def expanded(self, poisson_ratio: float) -> "Problem":
@@ -305,13 +305,13 @@ class Problem:
         derivatives (`linearised`)."""
         block, common = self.layout.blocks[index], self.layout.common
         seen, modulus = self.probes[index].observations, float(np.exp(theta[1]))
-        own, count = theta[block.errors], len(block.shared)
+        unshared, count = theta[block.errors], len(block.shared)
         errors = self._errors(index, theta)
         response = model.value + (theta[0] - model.poisson_ratio) * model.slope
         if errors.any():
             response = response + np.tensordot(errors, model.effects, axes=1)
         load = _in_terms(self.load(index, theta), modulus, len(response))
-        bend = model.curvature @ own / modulus
+        bend = model.curvature @ unshared / modulus
         first = common - block.whole.start
         table = np.zeros((first + block.unknown.start, response.shape[1]))
         table[0] = load @ model.slope
@@ -319,10 +319,10 @@ class Problem:
         # Term 0 scales with 1 / G except for motions; term 1 does not depend on G, but motions do.
         scaling = np.concatenate([-load[:4], np.zeros(len(load) - 4)])
         scaling[columns + 4 :] = load[columns + 4 :]
-        table[1] = scaling @ response - 0.5 * bend @ own
-        each = load @ model.effects
-        table[self.layout.errors.start + block.shared] = each[:count]
-        table[first + block.errors.start : first + block.errors.stop] = each[count:] + bend.T
+        table[1] = scaling @ response - 0.5 * bend @ unshared
+        effects = load @ model.effects
+        table[self.layout.errors.start + block.shared] = effects[:count]
+        table[first + block.errors.start : first + block.errors.stop] = effects[count:] + bend.T
         force = response[:3] / modulus
         motions = response[4:columns]
         if len(load) > columns:
@@ -334,7 +334,7 @@ class Problem:
         table[first + block.motions.start : first + block.motions.stop] = (
             motions * seen.motion_std[:, None]
         )
-        return load @ response + 0.5 * bend @ own, table
+        return load @ response + 0.5 * bend @ unshared, table
 
 
 def make_problem(
@@ -400,11 +400,18 @@ def _layout(
     for probe, rows in zip(probes, unknown, strict=True):
         counts = (3, len(probe.observations.motion), len(_own(probe, shared)), rows.count)
         ends = np.cumsum([first, *counts]).tolist()
-        force, motions, errors, coefficients = (slice(*each) for each in pairwise(ends))
-        own = [number[each.name] for each in probe.parameters if each.name in number]
+        force, motions, errors, coefficients = (slice(*bounds) for bounds in pairwise(ends))
+        shared_numbers = [number[error.name] for error in probe.parameters if error.name in number]
         whole = slice(first, ends[-1])
         blocks.append(
-            Block(force, motions, errors, coefficients, whole, np.array(own, dtype=np.int64))
+            Block(
+                force,
+                motions,
+                errors,
+                coefficients,
+                whole,
+                np.array(shared_numbers, dtype=np.int64),
+            )
         )
         first = ends[-1]
     return Layout(slice(2, 2 + len(shared)), tuple(blocks))
@@ -414,7 +421,7 @@ def _own(
     probe: MeasuredComponents, shared: tuple[NuisanceParameter, ...]
 ) -> tuple[NuisanceParameter, ...]:
     names = {parameter.name for parameter in shared}
-    return tuple(each for each in probe.parameters if each.name not in names)
+    return tuple(error for error in probe.parameters if error.name not in names)
 
 
 def _shared_parameters(probes: Sequence[MeasuredComponents]) -> tuple[NuisanceParameter, ...]:
@@ -443,18 +450,18 @@ def _expansion(
     )
     at = ResponseTerms(probe.rows, response, poisson_ratio)
     effects = [nuisance.effects(at) for nuisance in seen.nuisances]
-    terms = max([response.shape[1], *(each.shape[1] for each in effects)])
+    terms = max([response.shape[1], *(effect.shape[1] for effect in effects)])
     columns = [response[..., None], (high - low)[..., None] / (2 * _STEP), *effects]
     position = np.concatenate([[0, 1], 2 + np.argsort(order)])
     table = np.zeros((len(position), terms, response.shape[2], len(response)))
     first = 0
-    for each in columns:
-        at_rows = probe.whitened(each).transpose(3, 1, 2, 0)
-        table[position[first : first + len(at_rows)], : each.shape[1]] = at_rows
+    for values in columns:
+        at_rows = probe.whitened(values).transpose(3, 1, 2, 0)
+        table[position[first : first + len(at_rows)], : values.shape[1]] = at_rows
         first += len(at_rows)
     table = table.reshape(len(position), -1, len(response))
-    own = order[len(order) - len(_own(probe, shared)) :]
-    return Expansion(poisson_ratio, table[0], table[1], table[2:], _curvature(probe, at, own))
+    unshared = order[len(order) - len(_own(probe, shared)) :]
+    return Expansion(poisson_ratio, table[0], table[1], table[2:], _curvature(probe, at, unshared))
 
 
 def _order(
@@ -462,19 +469,19 @@ def _order(
 ) -> Int[np.ndarray, " k"]:
     """Order of a probing's errors in its expansion: those that it shares, then its own."""
     names = {parameter.name for parameter in shared}
-    is_own = np.array([each.name not in names for each in probe.parameters], dtype=bool)
+    is_own = np.array([error.name not in names for error in probe.parameters], dtype=bool)
     return np.argsort(is_own, kind="stable")
 
 
 def _curvature(
-    probe: MeasuredComponents, at: ResponseTerms, own: Int[np.ndarray, " o"]
+    probe: MeasuredComponents, at: ResponseTerms, unshared: Int[np.ndarray, " o"]
 ) -> Float[np.ndarray, "r o o"]:
     """Second derivatives in a probing's own errors, given by their ascending numbers, times the
     shear modulus."""
-    curvature, first = np.zeros((len(at.rows), len(own), len(own))), 0
+    curvature, first = np.zeros((len(at.rows), len(unshared), len(unshared))), 0
     for nuisance in probe.observations.nuisances:
         if nuisance.curvature is not None:
-            begin = int(np.searchsorted(own, first))
+            begin = int(np.searchsorted(unshared, first))
             chosen = slice(begin, begin + len(nuisance.parameters))
             curvature[:, chosen, chosen] = nuisance.curvature(at)
         first += len(nuisance.parameters)

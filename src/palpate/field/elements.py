@@ -41,7 +41,7 @@ def no_field_reason(session: Session) -> str:
     session : Session
     """
     first, *others = session.probings
-    if all(each.repeats(first) for each in others):
+    if all(probing.repeats(first) for probing in others):
         return (
             "A modulus that differs from place to place takes pushes at several places; here is a"
             " single one."
@@ -49,9 +49,9 @@ def no_field_reason(session: Session) -> str:
     supports = session.supports
     # One support that moves takes the whole body along, whatever its moduli.
     still = len(supports) == 1 or all(support.motion == FIXED for support in supports)
-    rigid = all(each.stiffness is None and each.directions is None for each in supports)
+    rigid = all(support.stiffness is None and support.directions is None for support in supports)
     pulled = any(probing.contact.profile == RIGID for probing in session.probings)
-    loaded = session.added_gravity is not None or any(each.loads for each in session.probings)
+    loaded = session.added_gravity is not None or any(probing.loads for probing in session.probings)
     if still and rigid and not pulled and not loaded:
         return ""
     return (
@@ -115,29 +115,29 @@ def nodal_loads(session: Session, solid: Solid) -> Float[np.ndarray, "n3 k"]:
 
 
 def nodal_shifts(session: Session, solid: Solid) -> Float[np.ndarray, "n3 k2"]:
-    """What each probing's nodal forces change by as its contact moves by a standard deviation along
-    each tangent, (3 n, 2 k) [N]; nothing where it would reach the support.
+    """Change of each probing's nodal forces as its contact moves by a standard deviation along
+    each tangent, (3 n, 2 k) [N]; zero where it would reach the support.
 
     Parameters
     ----------
     session : Session
     solid : Solid
     """
-    mesh, held, shifts = session.mesh, session.held_triangles, []
+    mesh, held, changes = session.mesh, session.held_triangles, []
     for probing in session.probings:
         contact, std = probing.contact, session.errors.contact_std(probing.name)
         patch = find_contact_patch(mesh, contact, held, name=probing.name)
         beside = std * named_tangents(mesh, patch)[0]
         places = closest_points(mesh, contact.point + np.concatenate([beside, -beside])).position
         try:
-            one, two, *others = (
-                _nodal_load(session, replace(probing, contact=replace(contact, point=place)), solid)
-                for place in places
+            first, second, *others = (
+                _nodal_load(session, replace(probing, contact=replace(contact, point=point)), solid)
+                for point in places
             )
         except InputError:
-            one, two, *others = np.zeros((4, 3 * len(solid.nodes)))
-        shifts += [0.5 * (one - others[0]), 0.5 * (two - others[1])]
-    return np.stack(shifts, axis=1)
+            first, second, *others = np.zeros((4, 3 * len(solid.nodes)))
+        changes += [0.5 * (first - others[0]), 0.5 * (second - others[1])]
+    return np.stack(changes, axis=1)
 
 
 def _nodal_load(session: Session, probing: Probing, solid: Solid) -> Float[np.ndarray, " n3"]:
@@ -177,6 +177,6 @@ def nodal_load(
     position = np.einsum("nv,nva->na", barycentric, corner)
     side = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     weight = density(triangle, barycentric, position) * np.linalg.norm(side, axis=1)
-    pressed = weight > 0.0
-    share = surface_values(solid, position[pressed]).T @ weight[pressed]
+    loaded = weight > 0.0
+    share = surface_values(solid, position[loaded]).T @ weight[loaded]
     return np.outer(share / share.sum(), force).ravel()

@@ -96,12 +96,12 @@ class Explanation:
         part, normals, _ = _parts(self.model.body)
         gone, removed = np.zeros(len(normals), dtype=bool), []
         while gone.sum() < len(gone) - 1:
-            one = replace(self, loose=gone[part])
-            at = joint_minimum(one._observations(self.model), settings)
-            removed.append(replace(one, log_evidence=log_bayes_factor(at, minimum, settings)))
+            looser = replace(self, loose=gone[part])
+            at = joint_minimum(looser._observations(self.model), settings)
+            removed.append(replace(looser, log_evidence=log_bayes_factor(at, minimum, settings)))
             gives = at.theta[modes_in(at)].reshape(2, -1).sum(axis=0)
             gone[np.where(gone, -np.inf, gives).argmax()] = True
-        return max(removed, key=lambda each: each.log_evidence)
+        return max(removed, key=lambda explanation: explanation.log_evidence)
 
     def _observations(self, model: FieldModel) -> list[ProbeObservations]:
         (expansion,) = _expansions(model, self.poisson_ratio, (self.cause,), self.loose)
@@ -116,8 +116,7 @@ def explanations(
     *,
     cache: Cache | None = None,
 ) -> list[Explanation]:
-    """What may explain displacements that one modulus does not, the likeliest first: a question
-    that takes seconds.
+    """What may explain displacements that one modulus does not, the likeliest first; takes seconds.
 
     Parameters
     ----------
@@ -130,12 +129,12 @@ def explanations(
     ------
     MeshError                       so few elements do not fit into the body
     """
-    kept = cache if isinstance(cache, Memory) else Memory()
+    memory = cache if isinstance(cache, Memory) else Memory()
     name = content_digest(("few elements", session.mesh, session.held_triangles))
-    if name in kept:
-        model: FieldModel = kept[name].under(session, observations)
+    if name in memory:
+        model: FieldModel = memory[name].under(session, observations)
     else:
-        model = kept[name] = make_model(session, observations, elements=_FEW, times=(1, 3))
+        model = memory[name] = make_model(session, observations, elements=_FEW, times=(1, 3))
     ratio, candidates = minimum.poisson_ratio, []
     # Pokes, which tell one number each, cannot tell the others.
     causes = tuple(Cause) if isinstance(model, PushModel) else (Cause.PLACE,)
@@ -147,12 +146,12 @@ def explanations(
         else:
             evidence, std = best_evidence(*known, STDS)
         candidates.append(Explanation(cause, evidence, std, model, ratio))
-    return sorted(candidates, key=lambda each: -each.log_evidence)
+    return sorted(candidates, key=lambda candidate: -candidate.log_evidence)
 
 
 def evidence_of_errors(minimum: Evaluation) -> float:
-    """Most log evidence of forces, contacts or other errors of single probings that are larger than
-    the session says, each kind by itself, over errors as it says.
+    """Largest log evidence, of any one kind, that forces, contacts or other errors of single
+    probings are larger than the session states, over errors as stated.
 
     Parameters
     ----------
@@ -164,11 +163,14 @@ def evidence_of_errors(minimum: Evaluation) -> float:
         count = block.unknown.start - block.whole.start
         places.append(np.arange(block.whole.start, block.whole.start + count))
         sources += problem.sources[block.whole.start : block.unknown.start]
-    own = [len(each) for each in places]
+    counts = [len(entries) for entries in places]
     back = np.concatenate(
-        [part[:count, :-1] for part, count in zip(normal.solutions, own, strict=True)]
+        [part[:count, :-1] for part, count in zip(normal.solutions, counts, strict=True)]
     )
-    inner = [np.linalg.inv(each)[:n, :n] for each, n in zip(normal.own, own, strict=True)]
+    inner = [
+        np.linalg.inv(information)[:n, :n]
+        for information, n in zip(normal.own, counts, strict=True)
+    ]
     covariance = block_diag(*inner) + back @ normal.covariance @ back.T
     theta, gain = minimum.theta[np.concatenate(places)], 0.0
     for source in set(sources):
@@ -254,13 +256,15 @@ def _by_support(
     part = part[stiffness.body.held[body.held]]
     inside = (part == np.arange(len(areas))[:, None]).astype(float)
     forces = [
-        np.einsum("sh,hip->sip", inside, stiffness.reactions(each).reshape(len(part), 3, -1))
-        for each in (seen, moved)
+        np.einsum(
+            "sh,hip->sip", inside, stiffness.reactions(displacement).reshape(len(part), 3, -1)
+        )
+        for displacement in (seen, moved)
     ]
-    along = [np.einsum("si,sip->sp", normals, each) for each in forces]
+    along = [np.einsum("si,sip->sp", normals, force) for force in forces]
     every = np.einsum("sia,sik,s->kas", *forces, length / areas)
-    pressed = np.einsum("sa,sk,s->kas", *along, length / areas)
-    return np.concatenate([every, pressed], axis=2)
+    along_normal = np.einsum("sa,sk,s->kas", *along, length / areas)
+    return np.concatenate([every, along_normal], axis=2)
 
 
 def _parts(
@@ -271,11 +275,11 @@ def _parts(
     nodes, facets = body.solid.nodes, body.solid.facets
     face = TriangleMesh(nodes, facets[body.held[facets].all(axis=1), :3])
     area, middle = triangle_areas(face), nodes[face.triangles].mean(axis=1)
-    centres, own = kmeans2(middle, min(_PARTS, len(middle)), minit="++", seed=0)
-    used, own = np.unique(own, return_inverse=True)
+    centres, nearest = kmeans2(middle, min(_PARTS, len(middle)), minit="++", seed=0)
+    used, nearest = np.unique(nearest, return_inverse=True)
     whole = np.zeros((len(used), 3))
-    np.add.at(whole, own, area[:, None] * unit_normals(face))
-    areas = np.bincount(own, area)
+    np.add.at(whole, nearest, area[:, None] * unit_normals(face))
+    areas = np.bincount(nearest, area)
     normals = whole / np.maximum(np.linalg.norm(whole, axis=1), 1e-9 * areas.max())[:, None]
     part = cKDTree(centres[used]).query(nodes[body.held])[1]
     return part, normals, areas

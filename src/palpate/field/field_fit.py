@@ -145,13 +145,13 @@ def fit_field(
         return Fitted(minimum, modes.mixing_of(prior) @ minimum.theta[modes_in(minimum)], prior)
 
     start = Fitted(plain, np.zeros(modes.modes.shape[1]), FieldPrior(0.0, 0.0))
-    expansion, explained = expanded_about_best(
+    expansion, best = expanded_about_best(
         model, start, fitted, tolerance=_TOLERANCE, what="the field of the modulus",
         progress=progress,
     )  # fmt: skip
-    evidence = log_bayes_factor(explained.minimum, plain, settings)
-    observed = expansion.observations(smooth_prior(modes.mixing_of(explained.prior)))
-    return FieldFit(expansion, explained.prior, evidence, observed)
+    evidence = log_bayes_factor(best.minimum, plain, settings)
+    observed = expansion.observations(smooth_prior(modes.mixing_of(best.prior)))
+    return FieldFit(expansion, best.prior, evidence, observed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,12 +289,14 @@ def _with_modes(
 ) -> Evaluation:
     """The objective at the same point, with the coefficients of other modes."""
     problem, theta, first = minimum.problem, minimum.theta, minimum.problem.layout.errors.start
-    common = {each.name: value for each, value in zip(problem.shared, theta[first:], strict=False)}
-    modes = tuple(each for each in rows[0].parameters if each.is_material)
-    others = tuple(each for each in problem.shared if not each.is_material)
-    own = theta[problem.layout.common :]
-    errors = [common[each.name] for each in others]
-    theta = np.concatenate([theta[:first], errors, coefficients, own])
+    common = {
+        error.name: value for error, value in zip(problem.shared, theta[first:], strict=False)
+    }
+    modes = tuple(mode for mode in rows[0].parameters if mode.is_material)
+    others = tuple(error for error in problem.shared if not error.is_material)
+    unshared = theta[problem.layout.common :]
+    errors = [common[error.name] for error in others]
+    theta = np.concatenate([theta[:first], errors, coefficients, unshared])
     return Evaluation(problem.of(rows, (*others, *modes), theta), theta)
 
 
@@ -306,8 +308,8 @@ def modes_in(minimum: Evaluation) -> Int[np.ndarray, " j"]:
     minimum : Evaluation
     """
     shared, first = minimum.problem.shared, minimum.problem.layout.errors.start
-    own = [k for k, parameter in enumerate(shared) if parameter.is_material]
-    return first + np.array(own, dtype=np.int64)
+    modes = [k for k, parameter in enumerate(shared) if parameter.is_material]
+    return first + np.array(modes, dtype=np.int64)
 
 
 def log_bayes_factor(field: Evaluation, plain: Evaluation, settings: FitSettings) -> float:
@@ -336,6 +338,6 @@ def log_bayes_factor(field: Evaluation, plain: Evaluation, settings: FitSettings
 def _log_volume(at: Evaluation) -> float:
     """Logarithm of the posterior's volume over the prior's, up to the constants."""
     information = (at.normal.common, *at.normal.own)
-    determinants = sum(float(np.linalg.slogdet(each)[1]) for each in information)
+    determinants = sum(float(np.linalg.slogdet(block)[1]) for block in information)
     precision = at.problem.precision()
     return 0.5 * (float(np.log(precision[precision > 0.0]).sum()) - determinants)

@@ -93,12 +93,12 @@ class FieldPosterior:
         """Parts that differ from the rest, those of the largest effect first; before them the
         outermost layer, where what lies at one depth differs from what lies deeper."""
         if self.layers:
-            kept = slice(-self.layers)
+            inner = slice(-self.layers)
             others = replace(
                 self,
-                fields=self.fields[:, kept],
-                coefficients=self.coefficients[kept],
-                covariance=self.covariance[kept, kept],
+                fields=self.fields[:, inner],
+                coefficients=self.coefficients[inner],
+                covariance=self.covariance[inner, inner],
                 layers=0,
             )
             return (*self._outermost(), *others.parts())
@@ -156,9 +156,9 @@ class FieldPosterior:
         std = float(np.sqrt(difference @ self.covariance @ difference))
         low, high = ratio - HALF_95 * std, ratio + HALF_95 * std
         weight = volume * np.abs(self.log_modulus[part] - outside @ self.coefficients)
-        x, y, z = (float(each) for each in weight @ self.centre[part] / weight.sum())
+        x, y, z = (float(coordinate) for coordinate in weight @ self.centre[part] / weight.sum())
         size = float(6.0 * volume.sum() / np.pi) ** (1.0 / 3.0)
-        ratio, low, high = (float(np.exp(each)) for each in (ratio, low, high))
+        ratio, low, high = (float(np.exp(value)) for value in (ratio, low, high))
         return StiffPart((x, y, z), size, ratio, low, high)
 
 

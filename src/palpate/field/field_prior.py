@@ -188,7 +188,7 @@ def best_evidence(
 
 
 def _log_evidence(information: Float[np.ndarray, "j j"], score: Float[np.ndarray, " j"]) -> float:
-    """Of coefficients that are standard normal."""
+    """Log evidence of coefficients that are standard normal."""
     factor = np.linalg.cholesky(np.eye(len(score)) + information)
     half = solve_triangular(factor, score, lower=True)
     return float(0.5 * half @ half - np.log(np.diag(factor)).sum())

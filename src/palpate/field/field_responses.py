@@ -141,7 +141,7 @@ class FieldModel(ABC):
 
     @abstractmethod
     def under(self, session: Session, observations: Sequence[ProbeObservations] = ()) -> Self:
-        """The same body under the loads of another session.
+        """This model of the body, under the loads of another session.
 
         Parameters
         ----------
@@ -253,7 +253,7 @@ class FieldExpansion:
     derivative: Float[np.ndarray, "*d b"]
 
     def with_slope(self) -> "FieldExpansion":
-        """With the derivative with respect to Poisson's ratio, which takes two factorisations."""
+        """Expansion with the derivative by Poisson's ratio, which takes two factorisations."""
         beside = self.poisson_ratio - _STEP
         moved = self.model.moved(self.coefficients, beside)
         moved -= self.model.moved(0.0 * self.coefficients, beside)
@@ -262,7 +262,7 @@ class FieldExpansion:
     def under(
         self, session: Session, observations: Sequence[ProbeObservations]
     ) -> "FieldExpansion":
-        """About the same field, of other pushes of the body.
+        """Expansion about the same field, for other pushes of the body.
 
         Parameters
         ----------
@@ -339,13 +339,13 @@ class PushModel(FieldModel):
         return self.near @ self.body.means(self.modes.modes)
 
     def seen(self, moved: Float[np.ndarray, "n3 k"]) -> Float[np.ndarray, "n3 k"]:
-        """All of it."""
+        """The displacements themselves."""
         return moved
 
     def derivative(
         self, stiffness: GradedStiffness, moved: Float[np.ndarray, "n3 k"]
     ) -> Float[np.ndarray, "k c3 b"]:
-        """Of the displacements of the corners."""
+        """Derivative of the displacements of the corners."""
         basis = self.modes.modes
         # Whichever takes fewer solutions.
         if basis.shape[1] * moved.shape[1] < 3 * len(self.corners):
@@ -392,13 +392,13 @@ def _changed(
         moved = response.value(expansion.poisson_ratio)[:, :3] @ probe.force
         return np.asarray(moved - rows @ expansion.homogeneous[:, index])
 
-    own = missed(probe.response, points.from_nodes)
-    derivative -= scale * np.outer(own, local)
+    missing = missed(probe.response, points.from_nodes)
+    derivative -= scale * np.outer(missing, local)
     along = probe.force / (probe.force @ probe.force)
     moved = np.stack([expansion.change[:, index], expansion.slope[:, index]], axis=1)
     expected = np.stack([prior.mean - expansion.coefficients, prior.by_ratio], axis=1)
     here = points.from_nodes @ moved + derivative @ expected
-    here[:, 0] += (scale - 1.0) * own
+    here[:, 0] += (scale - 1.0) * missing
     response = _Changed(probe.response, along, expansion.poisson_ratio, *here.T)
     vertices = probe.vertices
     if vertices is not None:
@@ -419,24 +419,24 @@ def _changed(
 
     settlement = Settlement(prior.shear_modulus, settled) if prior.by_log_modulus.any() else None
     first = expansion.model.load.shape[1] + 2 * index
-    shifts = points.from_nodes @ expansion.change[:, first : first + 2]
-    nuisances = [_shifted(each, shifts) for each in probe.nuisances]
+    changes = points.from_nodes @ expansion.change[:, first : first + 2]
+    nuisances = [_shifted(nuisance, changes) for nuisance in probe.nuisances]
     return replace(
         probe, response=response, vertices=vertices, settlement=settlement,
         nuisances=(*nuisances, Nuisance(prior.parameters, effects)),
     )  # fmt: skip
 
 
-def _shifted(nuisance: Nuisance, shifts: Float[np.ndarray, "r s"]) -> Nuisance:
+def _shifted(nuisance: Nuisance, changes: Float[np.ndarray, "r s"]) -> Nuisance:
     """Errors of a contact's place with what a field changes in their effects, if that is known."""
-    places = [k for k, each in enumerate(nuisance.parameters) if each.of == PLACES]
-    if not places or not shifts.size:
+    places = [k for k, error in enumerate(nuisance.parameters) if error.of == PLACES]
+    if not places or not changes.size:
         return nuisance
 
     def effects(at: ResponseTerms) -> Float[np.ndarray, "r s c p"]:
         moved = np.array(nuisance.effects(at))
         # Entry 3 of the load is 1 / G.
-        moved[:, 0, 3, places] += shifts[at.rows]
+        moved[:, 0, 3, places] += changes[at.rows]
         return moved
 
     return replace(nuisance, effects=effects)
@@ -454,22 +454,24 @@ def _seen(
         if tip := probe.tip_displacement is not None:
             points = np.concatenate([points, probing.contact.point[None]])
         near.append(closest_points(surface, points))
-        own = at_points(solid, points)
-        every = csr_array(vstack([vertices, own[-3:]])) if tip else vertices
-        matrices.append((own, every))
-    about = [surface.triangles[each.triangle] for each in near]
-    corners = np.unique(np.concatenate([np.zeros(0, np.int64), *(each.ravel() for each in about)]))
+        at_each = at_points(solid, points)
+        every = csr_array(vstack([vertices, at_each[-3:]])) if tip else vertices
+        matrices.append((at_each, every))
+    about = [surface.triangles[closest.triangle] for closest in near]
+    corners = np.unique(
+        np.concatenate([np.zeros(0, np.int64), *(corner.ravel() for corner in about)])
+    )
     corners = corners[~body.held[corners]]
     number = np.full(len(solid.nodes), -1)
     number[corners] = np.arange(len(corners))
     seen = []
-    for triangle, place, (own, every) in zip(about, near, matrices, strict=True):
+    for triangle, closest, (from_nodes, every) in zip(about, near, matrices, strict=True):
         column = number[triangle]
-        share = np.where(column >= 0, place.barycentric, 0.0)
+        share = np.where(column >= 0, closest.barycentric, 0.0)
         row = np.repeat(np.arange(len(share)), 3)
         entries = (share.ravel(), (row, np.maximum(column, 0).ravel()))
         matrix = csr_array(entries, shape=(len(share), len(corners)))
-        seen.append(SeenPoints(own, csr_array(kron(matrix, np.eye(3))), every))
+        seen.append(SeenPoints(from_nodes, csr_array(kron(matrix, np.eye(3))), every))
     return corners, tuple(seen)
 
 
@@ -533,7 +535,7 @@ def make_field_model(
     """
     if reason := no_field_reason(session):
         raise InputError(f"{session.path}: {reason} Fit with --material homogeneous")
-    solid, _ = filled(session.mesh, [each * elements for each in times])
+    solid, _ = filled(session.mesh, [factor * elements for factor in times])
 
     def modes_of(body: GradedBody) -> FieldModes:
         points = body.points.reshape(-1, 3)

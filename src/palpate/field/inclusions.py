@@ -98,14 +98,16 @@ def _stiff_parts(
     """The parts, the largest effect first."""
     described = []
     for part, error in zip(parts, std, strict=True):
-        x, y, z = (float(each) for each in part[:3])
+        x, y, z = (float(coordinate) for coordinate in part[:3])
         low, middle, high = (
             float(np.exp(part[4] + side * HALF_95 * error[4])) for side in (-1.0, 0.0, 1.0)
         )
         size = 2.0 * float(np.exp(part[3]))
         place_std = float(error[:3].max())
         described.append(StiffPart((x, y, z), size, middle, low, high, place_std=place_std))
-    return tuple(sorted(described, key=lambda each: -abs(np.log(each.ratio)) * each.size**3))
+    return tuple(
+        sorted(described, key=lambda candidate: -abs(np.log(candidate.ratio)) * candidate.size**3)
+    )
 
 
 def fit_inclusions(

@@ -102,7 +102,7 @@ class PokeModel(FieldModel):
     def derivative(
         self, stiffness: GradedStiffness, moved: Float[np.ndarray, "n3 k"]
     ) -> Float[np.ndarray, "k b"]:
-        """Of the compliances."""
+        """Derivative of the compliances."""
         return -stiffness.energies(moved).T @ self.modes.modes
 
     def regular(self, poisson_ratio: float) -> Float[np.ndarray, " k"]:
@@ -124,7 +124,7 @@ class PokeModel(FieldModel):
     ) -> list[ProbeObservations]:
         """See `FieldExpansion.observations`."""
         (probe,), session, spread = self.observations, self.session, self.spread
-        force = np.stack([each.force for each in session.probings])
+        force = np.stack([probing.force for probing in session.probings])
         # The half space's modulus at which the homogeneous response was taken.
         modulus = 1.0 if probe.settlement is None else probe.settlement.shear_modulus
         local = self.near @ self.body.means(self.modes.modes)
@@ -192,7 +192,7 @@ def tools(session: Session) -> list[Sphere | FlatFace]:
     ----------
     session : Session               `without_pictures`
     """
-    contact_tools = [each.contact.tool for each in session.probings]
+    contact_tools = [probing.contact.tool for probing in session.probings]
     return [tool for tool in contact_tools if isinstance(tool, Sphere | FlatFace)]
 
 
@@ -219,7 +219,7 @@ def make_poke_model(
     InputError                      a tool that touches no part of the surface
     MeshError                       the surface cannot be filled
     """
-    solid, edge = filled(session.mesh, [each * elements for each in times])
+    solid, edge = filled(session.mesh, [factor * elements for factor in times])
     body = make_graded_body(solid, held_nodes(solid, session.held_triangles))
     points = body.points.reshape(-1, 3)
     depth = depth_below(session, points)

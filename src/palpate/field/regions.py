@@ -106,11 +106,11 @@ class RegionFit:
         above = np.zeros((3, len(covariance)))
         above[1:, 1], above[2, 0] = 1.0, 1.0 / (1.0 + ratio)
         estimates = []
-        for k, (region, own) in enumerate(zip(self.regions, modes_in(minimum), strict=True)):
+        for k, (region, entry) in enumerate(zip(self.regions, modes_in(minimum), strict=True)):
             rows = direction[k] + above
             stds = np.sqrt(np.einsum("ij,jk,ik->i", rows, covariance, rows))
             of_rest, shear, its_young = map(_constant, value[k] + shift, stds)
-            is_seen = bool(region.known or covariance[own, own] < _UNSEEN**2)
+            is_seen = bool(region.known or covariance[entry, entry] < _UNSEEN**2)
             low, high = shear.ci95
             determined = high < _MAX_FACTOR * low
             estimates.append(
@@ -131,7 +131,7 @@ class RegionFit:
         model = self.expansion.model
         modes = model.body.means(model.modes.modes)
         covariance = direction @ minimum.normal.covariance @ direction.T
-        seen = np.array([each.is_seen for each in self.estimates(minimum)])
+        seen = np.array([estimate.is_seen for estimate in self.estimates(minimum)])
         known = modes[:, ~seen].sum(axis=1) < 0.5
         return map_of(model.body.solid, modes @ value, modes, covariance, known)
 
@@ -193,12 +193,12 @@ def fit_regions(
 
     plain = joint_minimum(observations, settings)
     prior = _prior(session.regions, plain.poisson_ratio, plain.shear_modulus)
-    expansion, explained = expanded_about_best(
+    expansion, best = expanded_about_best(
         model, Fitted(plain, prior.mean, prior), fitted, tolerance=_TOLERANCE,
         what="the modulus of a region", progress=progress,
     )  # fmt: skip
-    observed = _with_cut_elements(expansion, explained.prior)
-    return RegionFit(session.regions, expansion, explained.prior, observed)
+    observed = _with_cut_elements(expansion, best.prior)
+    return RegionFit(session.regions, expansion, best.prior, observed)
 
 
 def _with_cut_elements(
@@ -250,7 +250,7 @@ def _prior(regions: Sequence[Region], ratio: float, modulus: float) -> Coefficie
         if region.known == YOUNG:
             mean[k] -= np.log(2.0 * (1.0 + ratio))
             by_ratio[k] = -1.0 / (1.0 + ratio)
-    names = tuple(f"modulus of region {each.name!r}" for each in regions)
+    names = tuple(f"modulus of region {region.name!r}" for region in regions)
     return CoefficientPrior(names, np.diag(std), mean, by_ratio, by_log_modulus, ratio, modulus)
 
 
@@ -431,10 +431,12 @@ def _filled(session: Session) -> Solid:
     for region, points in zip(session.regions, check_regions(session), strict=True):
         if (small := _size_in(region, points, mesh)) < edge:
             fine += [(point, _step(region, mesh), small) for point in points]
-    shapes = [each.shape for each in session.regions]
-    walls = [each.surface for each in shapes if isinstance(each, Insert)]
+    shapes = [region.shape for region in session.regions]
+    walls = [shape.surface for shape in shapes if isinstance(shape, Insert)]
     walls += [
-        Box(*_bounds(each, mesh)).surface for each in session.regions if isinstance(each.shape, Box)
+        Box(*_bounds(region, mesh)).surface
+        for region in session.regions
+        if isinstance(region.shape, Box)
     ]
     try:
         return make_solid(mesh, edge=edge, fine=fine, walls=walls)

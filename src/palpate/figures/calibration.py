@@ -80,10 +80,10 @@ def residual_figure(calibration: Calibration) -> Figure:
     figure = Figure(figsize=(_WIDTH * len(cameras), sum(heights) + 0.85), layout="constrained")
     grid = figure.add_gridspec(2, len(cameras), height_ratios=heights)
     pictures = picture_errors(calibration)
-    highest = max((one.rms for one in pictures if np.isfinite(one.rms)), default=1.0)
+    highest = max((picture.rms for picture in pictures if np.isfinite(picture.rms)), default=1.0)
     for c, quality in enumerate(camera_quality(calibration)):
         _draw_corners(figure.add_subplot(grid[0, c]), calibration, c, quality)
-        mine = [one for one in pictures if one.camera == quality.name]
+        mine = [picture for picture in pictures if picture.camera == quality.name]
         _draw_views(figure.add_subplot(grid[1, c]), mine, highest, first=c == 0)
     figure.supxlabel(
         "arrows: residuals of the corners, one standard deviation drawn 2 % of the width; orange:"
@@ -124,11 +124,13 @@ def _draw_views(
     axes: Axes, pictures: Sequence[PictureError], highest: float, *, first: bool
 ) -> None:
     """Draw the rms of every view of a camera as a bar, with as many names as there is room for."""
-    place = np.arange(len(pictures))
-    axes.bar(place, [one.rms for one in pictures], color=BLUE, width=0.7)
+    position = np.arange(len(pictures))
+    axes.bar(position, [picture.rms for picture in pictures], color=BLUE, width=0.7)
     axes.set(xlim=(-0.7, len(pictures) - 0.3), ylim=(0.0, 1.1 * highest))
     step = -(-len(pictures) // _MOST_NAMED)
-    axes.set_xticks(place[::step], [one.view for one in pictures[::step]], parse_math=False)
+    axes.set_xticks(
+        position[::step], [picture.view for picture in pictures[::step]], parse_math=False
+    )
     axes.tick_params(axis="x", labelsize=6.0, length=2)
     axes.set_xlabel("view")
     if first:
@@ -365,9 +367,9 @@ def recording_figure(recorded: Recorded, name: str) -> Figure:
     axes[-1].set_xlabel("time of the force log [s]")
     axes[-1].set_xlim(recorded.resampled.time[0], recorded.resampled.time[-1])
     figure.legend(handles=_keys(recorded), loc="outside lower center", ncols=4)
-    kept, all_of = len(recorded.presses), len(recorded.touches)
+    used, all_of = len(recorded.presses), len(recorded.touches)
     figure.suptitle(
-        f"{name}: {kept} of {all_of} presses", fontsize=9, weight="bold", parse_math=False
+        f"{name}: {used} of {all_of} presses", fontsize=9, weight="bold", parse_math=False
     )
     return figure
 
@@ -404,9 +406,9 @@ def _draw_force(axes: Axes, recorded: Recorded) -> None:
 
 def _draw_moments(axes: Axes, recorded: Recorded) -> None:
     """Draw plateaus and moments at rest as bands, and touches that are left out in grey."""
-    kept = {press.number for press in recorded.presses}
+    used = {press.number for press in recorded.presses}
     for number, touch in enumerate(recorded.touches, start=1):
-        if number not in kept:
+        if number not in used:
             axes.axvspan(touch.begin, touch.end, color=GREY, alpha=0.35, linewidth=0)
     for press in recorded.presses:
         axes.axvspan(press.reading.begin, press.reading.end, color=PALE_BLUE, linewidth=0, zorder=0)

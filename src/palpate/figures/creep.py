@@ -38,16 +38,18 @@ def creep_figure(result: FitResult) -> Figure | None:
 
 
 def _draw_motion(axes: Axes, creep: CreepFit) -> None:
-    for number, each in enumerate(creep.motions):
-        later = each.time > 0.0
+    for number, motion in enumerate(creep.motions):
+        later = motion.time > 0.0
         names = ("force", "motion", "fit") if number == 0 else ("", "", "")
-        axes.plot(each.time[later], each.force[later], color=GREY, linewidth=1.0, label=names[0])
         axes.plot(
-            each.time[each.instant], each.amplitude, ".", color=BLUE, markersize=3.0,
+            motion.time[later], motion.force[later], color=GREY, linewidth=1.0, label=names[0]
+        )
+        axes.plot(
+            motion.time[motion.instant], motion.amplitude, ".", color=BLUE, markersize=3.0,
             markeredgewidth=0.0, label=names[1],
         )  # fmt: skip
         axes.plot(
-            each.time[later], creep.predicted(number)[later], color=ORANGE, linewidth=1.2,
+            motion.time[later], creep.predicted(number)[later], color=ORANGE, linewidth=1.2,
             label=names[2],
         )  # fmt: skip
     axes.set(xscale="log", xlabel="time after contact (s)", ylabel="over that of the static fit")
@@ -57,9 +59,9 @@ def _draw_motion(axes: Axes, creep: CreepFit) -> None:
 
 def _draw_modulus(axes: Axes, relaxation: RelaxationEstimate) -> None:
     factor, unit = modulus_unit(relaxation.unrelaxed)
-    time = [each.time for each in relaxation.curve]
-    value = np.array([each.modulus.value for each in relaxation.curve]) / factor
-    ends = np.array([each.modulus.ci95 for each in relaxation.curve]).reshape(-1, 2) / factor
+    time = [point.time for point in relaxation.curve]
+    value = np.array([point.modulus.value for point in relaxation.curve]) / factor
+    ends = np.array([point.modulus.ci95 for point in relaxation.curve]).reshape(-1, 2) / factor
     axes.fill_between(time, ends[:, 0], ends[:, 1], color=PALE_BLUE, linewidth=0)
     axes.plot(time, value, color=BLUE, linewidth=1.4)
     name = f"{_SYMBOLS[relaxation.constant]} ({unit})"

@@ -179,7 +179,9 @@ def _drawn(name: str, scene: _Scene, vectors: list[Points], sigmas: PointScalars
         _bounded(arrow / top * vector[front, :2], 1.5 * arrow)
         for vector, (_, _, top) in zip(vectors, scales, strict=True)
     ]
-    low, high = _extent(scene, np.concatenate([scene.points[front, :2] + one for one in arrows]))
+    low, high = _extent(
+        scene, np.concatenate([scene.points[front, :2] + panel_arrow for panel_arrow in arrows])
+    )
     figure, panels = three_panels(high - low)
     for axes, title, panel_arrows, colour, (cmap, most, _) in zip(
         panels, titles, arrows, shown, scales, strict=True

@@ -184,7 +184,7 @@ def _interval_lines(
         getattr(estimate, name) for name in ("poisson_ratio", "shear_modulus", "young_modulus")
     )
     known = [estimate.identifiable[name] for name in ("poisson_ratio", "shear_modulus")]
-    place = [0.035 * np.ptp(limits()) + limits()[0] for limits in (axes.get_xlim, axes.get_ylim)]
+    edge = [0.035 * np.ptp(limits()) + limits()[0] for limits in (axes.get_xlim, axes.get_ylim)]
     if np.isnan(ratio.ci95[0]):
         # The model is contradicted: its best fit has no interval.
         return {"best fit": _estimate_dot(axes, estimate, factor)}
@@ -192,11 +192,11 @@ def _interval_lines(
     soft, stiff = np.clip(np.array(shear.ci95) / factor, *axes.get_ylim())
     # The interval of a constant that is not determined is its possible range.
     lines = [
-        axes.plot([low, high], [place[1]] * 2, **_interval_style(known[0]))[0],
-        axes.plot([place[0]] * 2, [soft, stiff], **_interval_style(known[1]))[0],
+        axes.plot([low, high], [edge[1]] * 2, **_interval_style(known[0]))[0],
+        axes.plot([edge[0]] * 2, [soft, stiff], **_interval_style(known[1]))[0],
     ]
-    for line, one in zip(lines, known, strict=True):
-        label = "each alone, 95 %: as printed" if one else "not determined: possible range"
+    for line, is_known in zip(lines, known, strict=True):
+        label = "each alone, 95 %: as printed" if is_known else "not determined: possible range"
         artists[label] = line
     if all(known):
         artists["estimate"] = _estimate_dot(axes, estimate, factor)
@@ -325,7 +325,7 @@ def _dots(
     finite = np.isfinite(value)
     dot = np.clip(value, left, right)
     bars = np.abs(reach - dot[:, None]).T
-    alone = np.array([one for _, one in intervals])
+    alone = np.array([is_known for _, is_known in intervals])
     for those, form, colour in ((finite & alone, "o", BLUE), (finite & ~alone, "none", GREY)):
         axes.errorbar(
             dot[those], rows[those], xerr=bars[:, those], fmt=form, color=colour, ecolor=colour,
@@ -372,7 +372,7 @@ def predictions_figure(session: Session, result: FitResult) -> Figure | None:
     Figure or None                  None if there is only one probing
     """
     by_name = {probing.name: probing for probing in session.probings}
-    pairs = [_pairs(by_name[one.name], one) for one in result.probes]
+    pairs = [_pairs(by_name[probe.name], probe) for probe in result.probes]
     known = [pair for pair in pairs if pair is not None]
     if not known:
         return None
@@ -423,13 +423,13 @@ def errors_figure(estimate: Estimate) -> Figure | None:
     -------
     Figure or None                  None if no systematic error was estimated
     """
-    every = [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
-    every = [one for one in every if one.prior_std > 0.0]
+    every = [*estimate.errors, *(error for probe in estimate.probes for error in probe.errors)]
+    every = [error for error in every if error.prior_std > 0.0]
     if not every:
         return None
-    farthest = sorted(every, key=lambda one: -abs(one.value) / one.prior_std)[:_MOST_ERRORS]
-    value = np.array([one.value / one.prior_std for one in farthest])
-    std = np.array([one.std / one.prior_std for one in farthest])
+    farthest = sorted(every, key=lambda error: -abs(error.value) / error.prior_std)[:_MOST_ERRORS]
+    value = np.array([error.value / error.prior_std for error in farthest])
+    std = np.array([error.std / error.prior_std for error in farthest])
     figure = Figure(figsize=(4.8, 0.85 + 0.27 * len(farthest)), layout="constrained")
     axes = figure.add_subplot()
     rows = np.arange(len(farthest))
@@ -445,7 +445,7 @@ def errors_figure(estimate: Estimate) -> Figure | None:
     reach = max(SURPRISING + 0.4, float(np.abs(value).max() + std.max()) + 0.2)
     axes.set(xlim=(-reach, reach), ylim=(len(farthest) - 0.4, -0.6))
     # Narrow enough for a phone.
-    names = [textwrap.fill(_short(one.name), 28) for one in farthest]
+    names = [textwrap.fill(_short(error.name), 28) for error in farthest]
     axes.set_yticks(rows, names, parse_math=False, linespacing=1.0)
     axes.set_xlabel("in the assumed standard deviations (prior)")
     axes.tick_params(axis="y", length=0)
@@ -473,7 +473,9 @@ def budget_figure(estimate: Estimate) -> Figure | None:
     ]
     if not panels:
         return None
-    parts = np.array([[f * getattr(one, name) for name, _, f in panels] for one in estimate.budget])
+    parts = np.array(
+        [[f * getattr(entry, name) for name, _, f in panels] for entry in estimate.budget]
+    )
     # The smallest bars would be invisible.
     shown = np.flatnonzero((parts > _SMALLEST_PART * parts.max(axis=0)).any(axis=1))
     sources = [estimate.budget[k].source for k in shown]
@@ -523,10 +525,10 @@ def reciprocity_figure(reciprocity: Reciprocity) -> Figure | None:
     names = [push.name for push in reciprocity.pushes]
     grid = np.full((len(names), len(names)), np.nan)
     for pair in reciprocity.pairs:
-        one, other = names.index(pair.first), names.index(pair.second)
+        first, other = names.index(pair.first), names.index(pair.second)
         # Of sizes: a force may do negative work in the motion under another.
         larger = float(np.sign(pair.work + pair.other)) * pair.sigmas
-        grid[other, one], grid[one, other] = larger, -larger
+        grid[other, first], grid[first, other] = larger, -larger
     figure = Figure(figsize=(7.0, 3.6))
     left = figure.add_axes((0.09, 0.28, 0.36, 0.64))
     bar = figure.add_axes((0.11, 0.14, 0.32, 0.025))

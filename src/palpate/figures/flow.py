@@ -250,17 +250,17 @@ def _size_there(view: FlowView) -> float:
 
 def _arrows_in_space(axes: Axes, view: FlowView, point: Points, vector: Points) -> None:
     """Draw vectors in space as arrows in the camera's projection."""
-    place = project(view.camera, point)
-    _arrows(axes, view, place, project(view.camera, point + vector) - place)
+    pixel = project(view.camera, point)
+    _arrows(axes, view, pixel, project(view.camera, point + vector) - pixel)
 
 
 def _arrows(
-    axes: Axes, view: FlowView, place: Float[np.ndarray, "n 2"], vector: Float[np.ndarray, "n 2"]
+    axes: Axes, view: FlowView, pixel: Float[np.ndarray, "n 2"], vector: Float[np.ndarray, "n 2"]
 ) -> None:
     """Draw white arrows with a dark rim, visible on every colour."""
     side = float((view.high - view.low).max())
     pitch, shortest = side / ARROWS_ACROSS, SHORTEST_ARROW * side
-    add_arrows(axes, place, vector, pitch=pitch, shortest=shortest, colour="white")
+    add_arrows(axes, pixel, vector, pitch=pitch, shortest=shortest, colour="white")
 
 
 def _bar(figure: Figure, panels: list[Axes], cmap: str, norm: Normalize, label: str) -> None:
@@ -396,20 +396,20 @@ def draw_vertices(
     cmap, norm                      colour map and scale of the lengths
     """
     rows, mesh = seen_corners(view), view.mesh
-    place, corners = project(view.camera, mesh.vertices[rows]), mesh.triangles[view.triangles]
+    pixel, corners = project(view.camera, mesh.vertices[rows]), mesh.triangles[view.triangles]
     right, below, into = view.camera.T_camera_object[:3, :3]
     toward = LIGHT[0] * right - LIGHT[1] * below - LIGHT[2] * into
     light = unit_normals(mesh)[view.triangles] @ (toward / np.linalg.norm(toward))
     colours = CLAY(np.clip(light, 0.0, 1.0))
     local = np.searchsorted(rows, corners)
-    polygons = cast(Any, place[local])
+    polygons = cast(Any, pixel[local])
     axes.add_collection(
         PolyCollection(polygons, facecolors=colours, edgecolors=colours, linewidths=0.8),
         autolim=False,
     )
     if vertices is None:
         return
-    across, down = place.T
+    across, down = pixel.T
     known = measured_vertices(vertices)[rows]
     length = np.linalg.norm(vertices.displacement[rows], axis=1)
     whole = known[local].all(axis=1)

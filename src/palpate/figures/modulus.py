@@ -72,7 +72,7 @@ def modulus_figure(modulus: ModulusMap, field: FieldEstimate | None) -> Figure:
     axes, contours = figure.add_subplot(grid[0]), half_way(modulus, field)
     _draw_inside(axes, modulus, body, view, colours, contours)
     if contours:
-        times = " and ".join(f"{each:.2g}" for each in contours)
+        times = " and ".join(f"{contour:.2g}" for contour in contours)
         axes.set_title(f"{times} times {base}", color=INK)
     bar = figure.colorbar(
         ScalarMappable(colours, MODULI), cax=figure.add_axes((0.912, 0.2, 0.012, 0.6))
@@ -154,8 +154,8 @@ def _creases(body: TriangleMesh) -> Int[np.ndarray, "e 2"]:
     normals = unit_normals(body)
     edges = np.sort(body.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     order = np.lexsort(edges.T)
-    one, other = (np.repeat(np.arange(len(normals)), 3)[order]).reshape(-1, 2).T
-    return edges[order][::2][(normals[one] * normals[other]).sum(axis=1) < _SHARP]
+    first, other = (np.repeat(np.arange(len(normals)), 3)[order]).reshape(-1, 2).T
+    return edges[order][::2][(normals[first] * normals[other]).sum(axis=1) < _SHARP]
 
 
 def half_way(modulus: ModulusMap, field: FieldEstimate | None) -> list[float]:
@@ -174,7 +174,7 @@ def half_way(modulus: ModulusMap, field: FieldEstimate | None) -> list[float]:
     if field is not None:
         ratios = np.array([part.ratio for part in field.parts])
     ends = (float(ratios.max(initial=1.0)), float(ratios.min(initial=1.0)))
-    return [modulus.rest * float(np.sqrt(each)) for each in ends if each != 1.0]
+    return [modulus.rest * float(np.sqrt(ratio)) for ratio in ends if ratio != 1.0]
 
 
 def modulus_span(modulus: ModulusMap) -> float:

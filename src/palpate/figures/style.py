@@ -219,13 +219,13 @@ def add_texts(figure: Figure, heading: str, left: str, right: str) -> None:
         0.5, 1 - 0.07 / total, heading, ha="center", va="top", fontsize=9, weight="bold",
         parse_math=False,
     )  # fmt: skip
-    for place, side, text in ((0.01, "left", left), (0.99, "right", right)):
-        figure.text(place, 0.05 / total, text, ha=side, va="bottom", fontsize=6.5, parse_math=False)
+    for x, side, text in ((0.01, "left", left), (0.99, "right", right)):
+        figure.text(x, 0.05 / total, text, ha=side, va="bottom", fontsize=6.5, parse_math=False)
 
 
 def add_arrows(
     axes: Axes,
-    place: Float[np.ndarray, "n 2"],
+    points: Float[np.ndarray, "n 2"],
     vector: Float[np.ndarray, "n 2"],
     *,
     pitch: float,
@@ -237,23 +237,23 @@ def add_arrows(
     Parameters
     ----------
     axes : Axes
-    place, vector : (n, 2) float    in the units of the axes; rows with NaN have no arrow
+    points, vector : (n, 2) float   in the units of the axes; rows with NaN have no arrow
     pitch : float                   side of square cells, same unit: in each cell the point nearest
                                     to its centre has an arrow
     shortest : float                shorter arrows are left out beforehand
     colour : str                    of the arrows; they get a contrasting rim
     """
     known = np.flatnonzero(
-        (np.linalg.norm(vector, axis=1) > shortest) & np.isfinite(place).all(axis=1)
+        (np.linalg.norm(vector, axis=1) > shortest) & np.isfinite(points).all(axis=1)
     )
-    cell = np.floor(place[known] / pitch)
-    off_centre = np.linalg.norm(place[known] / pitch - cell - 0.5, axis=1)
+    cell = np.floor(points[known] / pitch)
+    off_centre = np.linalg.norm(points[known] / pitch - cell - 0.5, axis=1)
     order = np.argsort(off_centre, kind="stable")
     _, first = np.unique(cell[order], axis=0, return_index=True)
     chosen = known[order[first]]
     width, rim, around = (0.016, 0.35, "white") if colour == INK else (0.022, 0.5, INK)
     axes.quiver(
-        *place[chosen].T, *vector[chosen].T, angles="xy", scale_units="xy", scale=1.0,
+        *points[chosen].T, *vector[chosen].T, angles="xy", scale_units="xy", scale=1.0,
         units="inches", width=width, headwidth=3.4, headlength=3.6, headaxislength=3.2,
         minlength=0.5, color=colour, edgecolor=around, linewidth=rim, zorder=3,
     )  # fmt: skip

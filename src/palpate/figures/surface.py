@@ -148,11 +148,11 @@ def _points_of_views(
 ) -> None:
     """Draw the points on the near side, with a colour for each view."""
     colours = [BLUE, ORANGE, MIDDLE_BLUE, GREY, INK]
-    for k, one in enumerate(surface.views):
-        front = one.normals @ direction > 0.0
-        place = 1e3 * projected(view, one.points[front])
-        step = max(1, len(place) * len(surface.views) // _MOST_POINTS)
-        x, y = place[::step, 0], place[::step, 1]
+    for k, scan in enumerate(surface.views):
+        front = scan.normals @ direction > 0.0
+        point = 1e3 * projected(view, scan.points[front])
+        step = max(1, len(point) * len(surface.views) // _MOST_POINTS)
+        x, y = point[::step, 0], point[::step, 1]
         axes.scatter(x, y, s=0.6, color=colours[k % len(colours)], linewidths=0)
 
 
@@ -195,9 +195,9 @@ def _draw(
 def _mark(axes: Axes, view: SurfaceView, places: Points) -> None:
     """Draw points in orange, including those hidden by the surface."""
     if len(places):
-        place = 1e3 * projected(view, places)
+        point = 1e3 * projected(view, places)
         axes.scatter(
-            place[:, 0], place[:, 1], s=26.0, color=ORANGE, linewidths=0.4, edgecolors=INK, zorder=3
+            point[:, 0], point[:, 1], s=26.0, color=ORANGE, linewidths=0.4, edgecolors=INK, zorder=3
         )
 
 
@@ -247,11 +247,12 @@ def next_probings_figure(name: str, next_probings: NextProbings) -> Figure:
         draw_body(axes, view, np.isin(view.triangle, next_probings.session.held_triangles))
         _mark_places(axes, view, next_probings, gain, norm)
         title_panel(axes, title)
-    of = "predicted displacements" if PREDICTION in next_probings.now else "nu"
-    label = f"one push there narrows the interval of {of} by [%]"
+    quantity = "predicted displacements" if PREDICTION in next_probings.now else "nu"
+    label = f"one push there narrows the interval of {quantity} by [%]"
     add_colour_bar(figure, panels, _MAP, norm, label)
     held = np.isin(
-        np.concatenate([one.triangle for one in views]), next_probings.session.held_triangles
+        np.concatenate([surface_view.triangle for surface_view in views]),
+        next_probings.session.held_triangles,
     )
     note = "grey: held" if held.any() else ""
     add_texts(figure, name, "crosses: measured; rings: push here, in this order", note)
@@ -263,7 +264,7 @@ def _gain(next_probings: NextProbings) -> np.ndarray:
     displacements where these decide."""
     name = PREDICTION if PREDICTION in next_probings.now else "poisson_ratio"
     now = next_probings.now[name]
-    after = np.array([one[name] for one in next_probings.alone])
+    after = np.array([precision[name] for precision in next_probings.alone])
     if not np.isfinite(now):
         now = float(np.max(after[np.isfinite(after)], initial=1.0))
     return 100.0 * np.clip(1.0 - np.where(np.isfinite(after), after, now) / now, 0.0, 1.0)
@@ -277,20 +278,20 @@ def _mark_places(
     # A place whose outward normal faces the viewer is on the near side of a convex body, and of
     # most others.
     front = -next_probings.inward @ turn[2] > _FRONT
-    place = 1e3 * (next_probings.point @ turn.T)
+    point = 1e3 * (next_probings.point @ turn.T)
     axes.scatter(
-        place[front, 0], place[front, 1], c=gain[front], cmap=_MAP, norm=norm, s=22,
+        point[front, 0], point[front, 1], c=gain[front], cmap=_MAP, norm=norm, s=22,
         linewidths=0.3, edgecolors=INK, zorder=3,
     )  # fmt: skip
     for number, k in enumerate(next_probings.chosen, start=1):
         if front[k]:
-            axes.plot(*place[k, :2], "o", mfc="none", mec=ORANGE, mew=1.6, ms=9, zorder=4)
+            axes.plot(*point[k, :2], "o", mfc="none", mec=ORANGE, mew=1.6, ms=9, zorder=4)
             axes.annotate(
-                str(number), place[k, :2], (6, 4), textcoords="offset points", color=ORANGE,
+                str(number), point[k, :2], (6, 4), textcoords="offset points", color=ORANGE,
                 weight="bold", zorder=5,
             )  # fmt: skip
-    measured = np.array([one.contact.point for one in next_probings.session.probings])
-    pushed = np.array([one.force for one in next_probings.session.probings])
+    measured = np.array([probing.contact.point for probing in next_probings.session.probings])
+    pushed = np.array([probing.force for probing in next_probings.session.probings])
     length = np.maximum(np.linalg.norm(pushed, axis=1), np.finfo(float).tiny)
     seen = -(pushed / length[:, None]) @ turn[2] > _FRONT
     crosses = 1e3 * (measured @ turn.T)[seen]

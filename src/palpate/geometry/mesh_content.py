@@ -197,15 +197,15 @@ def check_text_ply(content: bytes) -> None:
     rows = _text_rows(rest, first=head.count(b"\n") + 1)
     for name, count, properties in elements:
         for number, words in islice(rows, count):
-            place = 0
+            index = 0
             for kind, *more in properties:
-                place += 1
+                index += 1
                 if kind == b"list":
-                    held = _whole(number, words[place - 1 : place])
+                    held = _whole(number, words[index - 1 : index])
                     if more[-1] in _CORNERS:
-                        _check_face(number, words[place : place + held], held)
-                    place += held
-            if place != len(words) or any(b"_" in word for word in words):
+                        _check_face(number, words[index : index + held], held)
+                    index += held
+            if index != len(words) or any(b"_" in word for word in words):
                 text = b" ".join(words).decode(errors="replace")[:40]
                 raise ValueError(f"line {number}: '{text}' is no row of {name.decode()}")
 

@@ -237,13 +237,13 @@ def _check_whole(content: bytes, suffix: str) -> None:
         if b"endsolid" not in content:
             raise ValueError("its last line, endsolid, is missing: it was cut off")
     elif suffix == ".stl" and len(content) >= _STL_HEAD:
-        said = int.from_bytes(content[_STL_HEAD - 4 : _STL_HEAD], "little")
-        _check_said(said, (len(content) - _STL_HEAD) / _STL_TRIANGLE, "triangles")
+        declared = int.from_bytes(content[_STL_HEAD - 4 : _STL_HEAD], "little")
+        _check_said(declared, (len(content) - _STL_HEAD) / _STL_TRIANGLE, "triangles")
 
 
-def _check_said(said: int, actual: int | float, what: str = "rows") -> None:
-    if said != actual:
-        raise ValueError(f"it says that it has {said} {what}, and holds {actual:g}")
+def _check_said(declared: int, actual: int | float, what: str = "rows") -> None:
+    if declared != actual:
+        raise ValueError(f"it says that it has {declared} {what}, and holds {actual:g}")
 
 
 def _check_count(path: Path, count: int, most: int, *, solid: bool = False) -> None:
@@ -260,10 +260,10 @@ def _check_count(path: Path, count: int, most: int, *, solid: bool = False) -> N
 
 def _check_span(path: Path, vertices: Vertices) -> None:
     """Refuse implausible dimensions, before lengths are squared."""
-    span, place = float(np.ptp(vertices, axis=0).max()), float(abs(vertices).max())
-    if not (_SPAN[0] <= span and place <= _SPAN[1]):
+    span, farthest = float(np.ptp(vertices, axis=0).max()), float(abs(vertices).max())
+    if not (_SPAN[0] <= span and farthest <= _SPAN[1]):
         raise MeshError(
-            f"{path}: is {span:.3g} m across, and up to {place:.3g} m from the origin; an object"
+            f"{path}: is {span:.3g} m across, and up to {farthest:.3g} m from the origin; an object"
             f" must be {_SPAN[0]:g} m across or more, within {_SPAN[1]:g} m: check length_unit"
         )
 

@@ -264,8 +264,8 @@ def _observability(
     least = (_MAX_RELATIVE_STD * search.diagonal) ** -2
     std = 1.0 / np.sqrt(np.maximum(values, least))
     confirmed = [
-        confirmed_information(*tried, pose=pose, motion=motion, std=one)
-        for motion, one in zip(motions, std, strict=True)
+        confirmed_information(*tried, pose=pose, motion=motion, std=sigma)
+        for motion, sigma in zip(motions, std, strict=True)
     ]
     # The unconfirmed share is subtracted twice: chance hides part of it at the minimum of the fit.
     values = values * (2.0 * np.array(confirmed) - 1.0)

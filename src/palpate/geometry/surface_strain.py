@@ -26,10 +26,10 @@ def surface_strain(points: Points, displacement: Points) -> Float[np.ndarray, "n
     (n, 2) float [-]                    the larger and the smaller
     """
     near = cKDTree(points).query(points, min(_WINDOW, len(points)))[1]
-    place, moved = points[near], np.nan_to_num(displacement)[near]
-    place, moved = (each - each.mean(axis=1, keepdims=True) for each in (place, moved))
-    across = np.linalg.svd(place, full_matrices=False)[2][:, :2]
-    flat = np.einsum("nkc,nbc->nkb", place, across)
+    rest, moved = points[near], np.nan_to_num(displacement)[near]
+    rest, moved = (vectors - vectors.mean(axis=1, keepdims=True) for vectors in (rest, moved))
+    across = np.linalg.svd(rest, full_matrices=False)[2][:, :2]
+    flat = np.einsum("nkc,nbc->nkb", rest, across)
     slope = np.linalg.pinv(flat) @ moved
     within = np.einsum("nac,nbc->nab", slope, across)
     strain = 0.5 * (within + np.swapaxes(within, 1, 2) + slope @ np.swapaxes(slope, 1, 2))

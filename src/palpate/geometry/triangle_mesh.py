@@ -117,9 +117,9 @@ def random_points(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> P
     -------
     (count, 3) float [m]
     """
-    place = np.cumsum(triangle_areas(mesh))
-    triangle = np.searchsorted(place, rng.random(count) * place[-1])
-    corner = mesh.vertices[mesh.triangles[np.minimum(triangle, len(place) - 1)]]
+    cumulative = np.cumsum(triangle_areas(mesh))
+    triangle = np.searchsorted(cumulative, rng.random(count) * cumulative[-1])
+    corner = mesh.vertices[mesh.triangles[np.minimum(triangle, len(cumulative) - 1)]]
     a, b = rng.random((2, count))
     root = np.sqrt(a)
     weight = np.stack([1.0 - root, root * (1.0 - b), root * b], axis=1)

@@ -88,8 +88,8 @@ def aim(probe: Probe, arm: Arm, mesh: TriangleMesh, *, rng: np.random.Generator)
     turn = np.deg2rad(arm.misalignment) * rng.standard_normal(2) @ across
     beside = arm.placement * rng.standard_normal(2) @ np.stack(_perpendicular(normal))
     # An obliquely approaching sphere touches there if its centre passes above along the normal.
-    place = on + beside + arm.tool.lead(np.zeros(1)) * normal
-    tip = Tip(arm.tool, place, cv2.Rodrigues(turn)[0] @ direction)
+    centre = on + beside + arm.tool.lead(np.zeros(1)) * normal
+    tip = Tip(arm.tool, centre, cv2.Rodrigues(turn)[0] @ direction)
     _check_path(probe.name, tip, mesh)
     return tip
 
@@ -228,24 +228,24 @@ def _at_finite_strain(body: Body, tip: Tip, state: Press) -> Press:
     )
 
 
-def rod_at(tip: Tip, place: Vector3, cameras: Sequence[Camera]) -> TriangleMesh:
+def rod_at(tip: Tip, centre: Vector3, cameras: Sequence[Camera]) -> TriangleMesh:
     """The arm's rod at one instant, half as long as the distance to the nearest camera.
 
     Parameters
     ----------
     tip : Tip
-    place : (3,) float [m]          centre of the sphere, or of the punch's face
+    centre : (3,) float [m]         centre of the sphere, or of the punch's face
     cameras : sequence of Camera
 
     Returns
     -------
     TriangleMesh                    closed, outward, object frame
     """
-    away = [np.linalg.norm(camera_centre(camera) - place) for camera in cameras]
+    away = [np.linalg.norm(camera_centre(camera) - centre) for camera in cameras]
     length = _ROD_LENGTH * float(min(away))
     upright = rod(_outline(tip), radius=tip.radius, length=length)
     axes = np.stack([*_perpendicular(-tip.direction), -tip.direction])
-    return TriangleMesh(place + upright.vertices @ axes, upright.triangles)
+    return TriangleMesh(centre + upright.vertices @ axes, upright.triangles)
 
 
 def _outline(tip: Tip) -> Float[np.ndarray, "k 2"]:
@@ -260,10 +260,10 @@ def _outline(tip: Tip) -> Float[np.ndarray, "k 2"]:
     return end
 
 
-def _smooth_normal(mesh: TriangleMesh, place: SurfacePoints) -> Vector3:
+def _smooth_normal(mesh: TriangleMesh, point: SurfacePoints) -> Vector3:
     """Outward normal interpolated from the vertex normals, as of the smooth surface."""
-    corners = mesh.triangles[place.triangle[0]]
-    normal = place.barycentric[0] @ vertex_normals(mesh.vertices, mesh.triangles)[corners]
+    corners = mesh.triangles[point.triangle[0]]
+    normal = point.barycentric[0] @ vertex_normals(mesh.vertices, mesh.triangles)[corners]
     return normal / np.linalg.norm(normal)
 
 

@@ -276,7 +276,7 @@ def _record_all(
         [bench for bench, part in zip(benches, parts, strict=True) if part is None]
         for parts in known
     ]
-    fresh = distribute(measure, [(some, k) for k, some in enumerate(missing) if some])
+    fresh = distribute(measure, [(chosen, k) for k, chosen in enumerate(missing) if chosen])
     for k, name in enumerate(names):
         progress(name, k / len(names))
         now = iter(next(fresh) if missing[k] else ())
@@ -455,10 +455,10 @@ def probe_tables(
         },
     }
     # `tip.point` is the centre of a sphere, one radius above the contact point.
-    place = closest_points(config.specimen.mesh, tip.point[None]).position[0]
+    contact_point = closest_points(config.specimen.mesh, tip.point[None]).position[0]
     truth = {
         "name": probe.name,
-        "contact_point": place.tolist(),
+        "contact_point": contact_point.tolist(),
         "contact_radius": last.radius,
         "direction": tip.direction.tolist(),
         "force": last.force.tolist(),

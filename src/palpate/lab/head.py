@@ -56,7 +56,7 @@ def make_head(head: Head, mesh: TriangleMesh) -> Rig:
     right, down = _picture_axes(view)
     eye = middle - head.distance * view
     eyes = [eye + x * right + y * down for x, y in _camera_offsets(head)]
-    poses = [_pose(place, middle) for place in eyes]
+    poses = [_pose(camera_eye, middle) for camera_eye in eyes]
     focal = head.focal or min(_filling_focal_length(head, pose, mesh) for pose in poses)
     cameras = [_camera(f"c{k}", pose, head, focal) for k, pose in enumerate(poses)]
     return Rig(tuple(cameras), 0, "facility")
@@ -185,9 +185,9 @@ def board_picture(
         ray = np.column_stack([flat, np.ones(len(flat))])
         # (t ray - shift) lies in the plane z = 0 of the board.
         depth = (turn[:, 2] @ shift) / (ray @ turn[:, 2])
-        place = (depth[:, None] * ray - shift) @ turn
-        u = np.floor(place[:, 0] / extent[0] * print_.shape[1]).astype(np.int64)
-        v = np.floor(place[:, 1] / extent[1] * print_.shape[0]).astype(np.int64)
+        position = (depth[:, None] * ray - shift) @ turn
+        u = np.floor(position[:, 0] / extent[0] * print_.shape[1]).astype(np.int64)
+        v = np.floor(position[:, 1] / extent[1] * print_.shape[0]).astype(np.int64)
         on = (depth > 0.0) & (u >= 0) & (v >= 0) & (u < print_.shape[1]) & (v < print_.shape[0])
         grey = np.full(len(flat), _BEYOND)
         grey[on] = _INK + (_PAPER - _INK) / 255.0 * print_[v[on], u[on]]

@@ -196,8 +196,8 @@ def gauge_readings(
     """
     time = np.arange(0.0, film.duration, 1.0 / film.gauge_rate)
     force = np.zeros((len(time), 3))
-    for one, begin in zip(presses, film.start_times, strict=True):
-        force += one.force_at(film.depth_fraction(time, begin))
+    for solved, begin in zip(presses, film.start_times, strict=True):
+        force += solved.force_at(film.depth_fraction(time, begin))
     share = time / time[-1]
     course = (share + 0.3 * np.sin(2.0 * np.pi * share))[:, None] * [1.0, -0.7, 1.0]
     noise = film.gauge_noise * rng.standard_normal((len(time), 3))
@@ -254,7 +254,7 @@ def film_frames(
     (rows, columns) uint8
     """
     camera = rig.cameras[number]
-    fields = [_motion_of(camera, config, one) for one in presses]
+    fields = [_motion_of(camera, config, solved) for solved in presses]
     last: tuple[int, float] | None = None
     shown = _sensor_picture(rest, config)
     coefficients = spline_filter(rest, order=5, output=np.float32)
@@ -371,9 +371,9 @@ def _warped(coefficients: Picture, motion: Float[np.ndarray, "_ _ 2"]) -> Pictur
     return map_coordinates(coefficients, places, order=5, mode="nearest", prefilter=False)
 
 
-def _with_rod(picture: Picture, camera: Camera, tip: Tip, place: Vector3, rig: Rig) -> Picture:
+def _with_rod(picture: Picture, camera: Camera, tip: Tip, centre: Vector3, rig: Rig) -> Picture:
     """A picture at twice the resolution with the rod drawn over it, in place."""
-    outline = project(_double_camera(camera), rod_at(tip, place, rig.cameras).vertices)
+    outline = project(_double_camera(camera), rod_at(tip, centre, rig.cameras).vertices)
     hull = cv2.convexHull(np.rint(16.0 * outline).astype(np.int32))
     return cv2.fillConvexPoly(picture, hull, (_ROD,), lineType=cv2.LINE_AA, shift=4)
 

@@ -138,13 +138,13 @@ def _edges(pieces: _Pieces) -> _Edges:
     triangles = pieces.triangles
     count = np.int64(len(pieces.vertices))
     ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
-    key, first, of = np.unique(
+    key, first, edge_of = np.unique(
         (ends[..., 0] * count + ends[..., 1]).ravel(), return_index=True, return_inverse=True
     )
     pair = np.stack([key // count, key % count], axis=1)
     welded = np.sort(pieces.weld[pair], axis=1)
     _, weld = np.unique(welded[:, 0] * count + welded[:, 1], return_inverse=True)
-    return _Edges(pair, of.reshape(-1, 3), weld, first)
+    return _Edges(pair, edge_of.reshape(-1, 3), weld, first)
 
 
 def _seen_lengths(
@@ -178,8 +178,8 @@ def _in_picture(
 ) -> Bool[np.ndarray, " m"]:
     """Triangles whose bounding box overlaps a camera's picture, or nearly so."""
     inside = np.ones(len(triangles), dtype=bool)
-    for place, size in zip(pixel.T, picture_size(camera), strict=True):
-        a, b, c = (place[column] for column in triangles.T)
+    for coordinate, size in zip(pixel.T, picture_size(camera), strict=True):
+        a, b, c = (coordinate[column] for column in triangles.T)
         inside &= np.maximum(np.maximum(a, b), c) > -_MAX_OUTSIDE * size
         inside &= np.minimum(np.minimum(a, b), c) < (1.0 + _MAX_OUTSIDE) * size
     return inside
@@ -194,11 +194,11 @@ def _edges_to_halve(
         return marked
     # Both copies of an edge on a crease, or neither.
     order = np.lexsort((edges.weld, -length))[:room]
-    kept = np.zeros_like(marked)
-    kept[order] = True
-    whole = np.bincount(edges.weld[kept], minlength=edges.weld.max() + 1)
-    there = np.bincount(edges.weld, minlength=edges.weld.max() + 1)
-    return kept & marked & (whole == there)[edges.weld]
+    chosen = np.zeros_like(marked)
+    chosen[order] = True
+    whole = np.bincount(edges.weld[chosen], minlength=edges.weld.max() + 1)
+    count = np.bincount(edges.weld, minlength=edges.weld.max() + 1)
+    return chosen & marked & (whole == count)[edges.weld]
 
 
 def _halved(
@@ -214,7 +214,7 @@ def _halved(
     middle = 0.5 * (pieces.weight + np.roll(pieces.weight, -1, axis=1))
     first = edges.first[marked]
     shape = quadratic_shapes(middle.reshape(-1, 3)[first])
-    place = np.einsum("kn,nka->na", shape, corner[pieces.base[first // 3]])
+    position = np.einsum("kn,nka->na", shape, corner[pieces.base[first // 3]])
     split = _split_triangles(
         np.concatenate([pieces.triangles, number[edges.of]], axis=1),
         marked[edges.of],
@@ -222,7 +222,7 @@ def _halved(
     weight = np.concatenate([pieces.weight, middle], axis=1)
     return replace(
         pieces,
-        vertices=np.concatenate([pieces.vertices, place]),
+        vertices=np.concatenate([pieces.vertices, position]),
         weld=np.concatenate([pieces.weld, pieces.weld.max() + 1 + weld]),
         triangles=np.concatenate([vertex for _, _, vertex in split]),
         base=np.concatenate([pieces.base[row] for row, _, _ in split]),

@@ -256,12 +256,12 @@ def _lamp(mitsuba: ModuleType, lamp: Lamp) -> dict[str, Any]:
     """A lamp as Mitsuba's rectangle."""
     toward = lamp.target - lamp.position
     up = np.eye(3)[np.argmin(np.abs(toward))]
-    place = mitsuba.ScalarTransform4f().look_at(
+    pose = mitsuba.ScalarTransform4f().look_at(
         origin=list(lamp.position), target=list(lamp.target), up=list(up)
     )
     return {
         "type": "rectangle",
-        "to_world": place @ mitsuba.ScalarTransform4f().scale(0.5 * lamp.side),
+        "to_world": pose @ mitsuba.ScalarTransform4f().scale(0.5 * lamp.side),
         "shine": {"type": "area", "radiance": lamp.radiance},
     }
 

@@ -139,9 +139,9 @@ def block(*, length: float, width: float, height: float, edge: float) -> Triangl
             for i, j in np.ndindex(cells[u], cells[v]):
                 corner = []
                 for p, q in ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)):
-                    place = [0, 0, 0]
-                    place[axis], place[u], place[v] = int(side * cells[axis]), int(p), int(q)
-                    corner.append(number.setdefault(tuple(place), len(number)))
+                    index = [0, 0, 0]
+                    index[axis], index[u], index[v] = int(side * cells[axis]), int(p), int(q)
+                    corner.append(number.setdefault(tuple(index), len(number)))
                 a, b, c, d = corner
                 cut = [[a, b, c], [a, c, d]] if (i + j) % 2 == 0 else [[a, b, d], [b, c, d]]
                 triangles += cut if side else [triangle[::-1] for triangle in cut]
@@ -272,8 +272,8 @@ def revolved(contour: Float[np.ndarray, "k 2"], edge: float) -> TriangleMesh:
         size = 1 if radius == 0.0 else max(_MIN_RING, int(np.rint(2.0 * np.pi * radius / edge)))
         # Alternate rings are rotated by half a step: the triangles become nearly equilateral.
         angle = 2.0 * np.pi * (np.arange(size) + 0.5 * (k % 2)) / size
-        place = [radius * np.cos(angle), radius * np.sin(angle), np.full(size, height)]
-        vertices.append(np.stack(place, axis=1))
+        ring = [radius * np.cos(angle), radius * np.sin(angle), np.full(size, height)]
+        vertices.append(np.stack(ring, axis=1))
         rings.append(count + np.arange(size))
         count += size
     strips = [_strip(lower, upper, k % 2) for k, (lower, upper) in enumerate(pairwise(rings))]

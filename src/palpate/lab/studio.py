@@ -321,10 +321,10 @@ def defocused(radiance: Picture, radius: float | Float[np.ndarray, "rows columns
     steps = int(np.ceil((high - low) / _RADIUS_STEP))
     if steps == 0:
         return _disc_mean(radiance, low)
-    place = (wanted - low) * (steps / (high - low))
+    step_number = (wanted - low) * (steps / (high - low))
     picture = np.zeros_like(radiance)
     for k in range(steps + 1):
-        weight = np.maximum(1.0 - np.abs(place - k), 0.0)
+        weight = np.maximum(1.0 - np.abs(step_number - k), 0.0)
         if weight.any():
             blurred = _disc_mean(radiance, low + k * (high - low) / steps)
             picture += (weight * blurred).astype(np.float32)

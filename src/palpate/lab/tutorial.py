@@ -248,18 +248,22 @@ def _write_films(
 
 def _write_truth(folder: Path, rig: Rig, config: LabConfig, solved: Sequence[SolvedPress]) -> None:
     """Ground truth: rig, constants and contacts."""
-    place = folder / "truth"
-    place.mkdir()
-    write_rig(place / "rig.toml", rig)
+    target = folder / "truth"
+    target.mkdir()
+    write_rig(target / "rig.toml", rig)
     table = {
         "young_modulus": config.material.young_modulus,
         "poisson_ratio": config.material.poisson_ratio,
         "press": [
-            {"point": _listed(one.point), "radius": one.radius, "force": _listed(one.force[-1])}
-            for one in solved
+            {
+                "point": _listed(press.point),
+                "radius": press.radius,
+                "force": _listed(press.force[-1]),
+            }
+            for press in solved
         ],
     }
-    write_text(place / "truth.toml", tomlkit.dumps(table))
+    write_text(target / "truth.toml", tomlkit.dumps(table))
 
 
 def _listed(vector: Vector3) -> list[float]:

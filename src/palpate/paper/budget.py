@@ -126,8 +126,8 @@ def error_budget(
     folders = {
         source.name: folder / _folder_name(source.name) for source in sources if source.bench
     }
-    for each in folders.values():
-        each.mkdir()
+    for source_folder in folders.values():
+        source_folder.mkdir()
     make_sessions(
         [(source.bench, folders[source.name]) for source in sources if source.bench],
         variant=variant,
@@ -161,7 +161,7 @@ def error_budget(
             )
             for number, session in enumerate(sessions)
         ]
-        single, joint = (np.concatenate(each) for each in zip(*errors, strict=True))
+        single, joint = (np.concatenate(column) for column in zip(*errors, strict=True))
         budget.append(SourceErrors(source.name, source.size, single, joint))
     return tuple(budget)
 
@@ -190,7 +190,7 @@ def _sources(config: LabConfig) -> list[_Source]:
     radius = float(config.specimen.mesh.vertices[:, 2].max())
     coarse = half_ball(radius=radius, edge=_COARSER * edge)
     edges = f"edges of {1e3 * _COARSER * edge:.2g} mm, not {1e3 * edge:.2g} mm"
-    place = f"{1e3 * _PLACEMENT:g} mm along each direction"
+    placement = f"{1e3 * _PLACEMENT:g} mm along each direction"
     sensor, calibration, pose = config.force_sensor, CALIBRATION, REGISTRATION
     forces = f"{1e3 * sensor.noise:g} mN and {100 * sensor.relative_noise:g} %"
     cameras = (
@@ -206,7 +206,7 @@ def _sources(config: LabConfig) -> list[_Source]:
             f"{misalignment:g}° about each axis",
             changed("arm", misalignment=misalignment),
         ),
-        _Source("tip placement", place, changed("arm", placement=_PLACEMENT)),
+        _Source("tip placement", placement, changed("arm", placement=_PLACEMENT)),
         _Source("mesh size", edges, changed("specimen", mesh=coarse)),
         _Source("nonlinearity", "neo-Hookean body", changed("material", law="neo-hookean")),
         _Source("force noise", forces, change=lambda s, rng, _: _with_forces(s, sensor, rng)),
@@ -285,8 +285,8 @@ def budget_table(sources: Sequence[SourceErrors]) -> ResultTable:
     for source in sources:
         mean = (percent * source.single.mean(axis=0)).tolist()
         single, joint = (percent * _rms(e) for e in (source.single, source.joint))
-        each = (mean[_YOUNG], single[_YOUNG], mean[_NU], single[_NU], joint[_YOUNG], joint[_NU])
-        rows.append((source.name, len(source.joint), *map(float, each)))
+        numbers = (mean[_YOUNG], single[_YOUNG], mean[_NU], single[_NU], joint[_YOUNG], joint[_NU])
+        rows.append((source.name, len(source.joint), *map(float, numbers)))
     columns = (
         "source", "draws", "E mean (%)", "E rms (%)", "nu mean", "nu rms",
         "all: E rms (%)", "all: nu rms",
@@ -355,7 +355,7 @@ def _panel(axes: Axes, sources: Sequence[SourceErrors], column: int, factor: flo
     axes.plot(joint, rows, "o", color=ORANGE, markersize=4.5, zorder=3, clip_on=False)
     draws = [factor * np.abs(source.joint[:, column]) for source in sources]
     axes.plot(
-        np.concatenate(draws), np.repeat(rows, [len(one) for one in draws]), "o", color=INK,
+        np.concatenate(draws), np.repeat(rows, [len(draw) for draw in draws]), "o", color=INK,
         markersize=1.8, zorder=4, clip_on=False,
     )  # fmt: skip
     axes.axvline(single[0], color=GREY, linestyle="--", linewidth=0.8, zorder=0)

@@ -102,10 +102,10 @@ def constants_table(estimate: Estimate, title: str) -> ResultTable:
     """
     rows: list[tuple[Cell, ...]] = []
     lines: list[tuple[str, Estimate | ProbeEstimate]] = [(p.name, p) for p in estimate.probes]
-    for name, each in [*lines, ("all", estimate)]:
-        nu = _value_and_ends(each, "nu", 1.0)
+    for name, fitted in [*lines, ("all", estimate)]:
+        nu = _value_and_ends(fitted, "nu", 1.0)
         rows.append(
-            (name, *nu, *_value_and_ends(each, "G", _KPA), *_value_and_ends(each, "E", _KPA))
+            (name, *nu, *_value_and_ends(fitted, "G", _KPA), *_value_and_ends(fitted, "E", _KPA))
         )
     columns = (
         "probing", "nu", "from", "to", "G (kPa)", "from", "to", "E (kPa)", "from", "to",
@@ -212,8 +212,8 @@ def motion_picture(session: Session, result: FitResult, name: str) -> Picture:
     ------
     InputError                      nothing was measured in it
     """
-    (probing,) = (each for each in session.probings if each.name == name)
-    (fit,) = (each for each in result.probes if each.name == name)
+    (probing,) = (candidate for candidate in session.probings if candidate.name == name)
+    (fit,) = (candidate for candidate in result.probes if candidate.name == name)
     figure = displacement_figure(session.mesh, probing, fit)
     if figure is None:
         raise InputError(f"probing '{name}' cannot be drawn: nothing was measured in it")
@@ -229,7 +229,7 @@ def _value_and_ends(
 
 
 def _yes_or_no(constant: Constant, held: bool) -> Cell:
-    """Whether a constant's interval holds the truth; None where a contradicted model has none."""
+    """Whether a constant's interval holds the truth; None where there is no interval."""
     return ("yes" if held else "no") if np.isfinite(constant.ci95).all() else None
 
 

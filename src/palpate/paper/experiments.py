@@ -126,7 +126,9 @@ def run_experiments(names: Sequence[str], work: ExperimentRun) -> dict[str, Pape
     ------
     PalpateError                    as in `measured_session`
     """
-    needed = list(dict.fromkeys(name for each in names for name in EXPERIMENTS[each][0]))
+    needed = list(
+        dict.fromkeys(name for experiment in names for name in EXPERIMENTS[experiment][0])
+    )
     count = len(needed) + len(names)
     measured, results = {}, {}
     work.folder.mkdir(exist_ok=True)
@@ -151,8 +153,10 @@ def run_experiments(names: Sequence[str], work: ExperimentRun) -> dict[str, Pape
 
 
 def _table1(measured: Measured, _work: ExperimentRun) -> PaperResult:
-    own = {_X: PAPER_FLOW_LEFT_REAR, _Y: PAPER_FLOW_REAR_RIGHT}
-    tests = {name: _with_paper_rows(rows, measured[name], flow_rows) for name, rows in own.items()}
+    paper_rows = {_X: PAPER_FLOW_LEFT_REAR, _Y: PAPER_FLOW_REAR_RIGHT}
+    tests = {
+        name: _with_paper_rows(rows, measured[name], flow_rows) for name, rows in paper_rows.items()
+    }
     return PaperResult(
         "Table 1: range flow of a translation",
         "A rigid object moves 2.5 mm a step. Angle: between the flow of the tracked surface points"
@@ -167,13 +171,14 @@ def _table1(measured: Measured, _work: ExperimentRun) -> PaperResult:
 
 
 def _table2(measured: Measured, _work: ExperimentRun) -> PaperResult:
-    own = {
+    paper_rows = {
         _X: PAPER_ANGLE_ERROR_X,
         _Y: PAPER_ANGLE_ERROR_Y,
         _ROTATION: PAPER_ANGLE_ERROR_ROTATION,
     }
     tests = {
-        name: _with_paper_rows(rows, measured[name], vertex_rows) for name, rows in own.items()
+        name: _with_paper_rows(rows, measured[name], vertex_rows)
+        for name, rows in paper_rows.items()
     }
     return PaperResult(
         "Table 2: displacement of the vertices",
@@ -230,12 +235,17 @@ def _table3(measured: Measured, _work: ExperimentRun) -> PaperResult:
         " the compression test sticks to its lower plate, so that it says a little too much. No"
         " interval is stated where the data contradict the model.",
         constants_summary(estimates, truth, compressed_modulus(truth)),
-        tuple(constants_table(each, f"Table 3, {method}") for method, each in estimates.items()),
+        tuple(
+            constants_table(estimate, f"Table 3, {method}")
+            for method, estimate in estimates.items()
+        ),
         {
             f"table3_{method}": figure_pixels(
-                probings_figure(each, truth={name: getattr(truth, name) for name in CONSTANT_NAMES})
+                probings_figure(
+                    estimate, truth={name: getattr(truth, name) for name in CONSTANT_NAMES}
+                )
             )
-            for method, each in estimates.items()
+            for method, estimate in estimates.items()
         },
     )
 
@@ -281,7 +291,7 @@ def _figure4(measured: Measured, _work: ExperimentRun) -> PaperResult:
 
 
 def _with_paper_rows(
-    own: Sequence[MotionRow],
+    paper_rows: Sequence[MotionRow],
     measured: PaperSession,
     rows_of: Callable[[PaperSession, Method], Sequence[MotionRow]],
 ) -> dict[str, Sequence[MotionRow]]:
@@ -289,7 +299,7 @@ def _with_paper_rows(
     rows_by_method: dict[str, Sequence[MotionRow]] = {
         method: rows_of(measured, method) for method in METHODS
     }
-    return {PAPER: own[: len(rows_by_method[METHODS[0]])], **rows_by_method}
+    return {PAPER: paper_rows[: len(rows_by_method[METHODS[0]])], **rows_by_method}
 
 
 def _flow_pictures(name: str, measured: Measured, motions: Sequence[_Motion]) -> dict[str, Picture]:

@@ -268,12 +268,12 @@ def _instants(
 
 def _listed(tests: Tests) -> list[tuple[str, str, Sequence[MotionRow]]]:
     """Motion, source and rows of each source."""
-    return [(motion, *each) for motion, rows in tests.items() for each in rows.items()]
+    return [(motion, *entry) for motion, rows in tests.items() for entry in rows.items()]
 
 
 def _by_step(rows: Rows) -> list[tuple[str, MotionRow]]:
     """Pairs of source and row, sorted by step."""
-    pairs = [(source, row) for source, each in rows.items() for row in each]
+    pairs = [(source, row) for source, steps in rows.items() for row in steps]
     return sorted(pairs, key=lambda pair: pair[1].step)
 
 
@@ -429,7 +429,7 @@ def _curve(
 
 def _add_legend(figure: Figure, tests: Tests, lines: Mapping[str, _Line]) -> None:
     """A legend for all panels, above them: colours are sources, lines are motions."""
-    sources = dict.fromkeys(source for each in tests.values() for source in each)
+    sources = dict.fromkeys(source for by_source in tests.values() for source in by_source)
     handles = [
         Line2D([], [], color=_COLOURS[source], marker=_MARKS[source], markersize=3.5, label=source)
         for source in sources

@@ -59,7 +59,7 @@ class PaperSession:
         -------
         MeasuredMotion
         """
-        return next(each for each in self.flows[method].motions if each.name == name)
+        return next(motion for motion in self.flows[method].motions if motion.name == name)
 
 
 def reduced(config: LabConfig) -> LabConfig:

@@ -98,7 +98,7 @@ def with_consistent_contacts(
             theta = np.zeros_like(best.theta)
             theta[:2] = best.theta[:2]
             moved = (best.problem.predicted_surface(k, theta) for k in range(len(observations)))
-            known = [each for each in moved if each is not None]
+            known = [surface for surface in moved if surface is not None]
             updated = displaced_contacts(session, model.system.surface, known, **constants)
         updated = with_contact_radii(updated, **constants)
         change = largest_change(session, updated)
@@ -188,9 +188,9 @@ def settled_contact(
     if tool is None:
         return contact
     local = local_surface(session.mesh, contact.point, tool.radius)
-    pressed = -float(local.normal @ force)
+    normal_force = -float(local.normal @ force)
     settled = tool_contact(
-        tool, local, pressed, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio
+        tool, local, normal_force, shear_modulus=shear_modulus, poisson_ratio=poisson_ratio
     )
     return replace(contact, radius=settled.radius, traction=settled.traction)
 

@@ -63,7 +63,7 @@ def require_series(session: Session) -> None:
     ------
     InputError                      no probing has a series
     """
-    if all(each.series is None for each in session.probings):
+    if all(probing.series is None for probing in session.probings):
         raise InputError(
             f"{session.path}: the modulus over time is asked for, but no [[probe]] has a series:"
             " write force and motion of a push that is held, from before the contact, into a CSV"
@@ -84,7 +84,7 @@ def with_relaxation(session: Session, result: FitResult) -> FitResult:
     FitResult                       with `creep`, and `relaxation` of its estimate; or with a note
                                     that says why not
     """
-    if all(each.series is None for each in session.probings):
+    if all(probing.series is None for probing in session.probings):
         return result
     reasons, motions, held, remarks = list[str](), list[Motion](), list[Series](), list[str]()
     for k, probing in enumerate(session.probings):
@@ -105,13 +105,13 @@ def with_relaxation(session: Session, result: FitResult) -> FitResult:
             remarks.append(_constant_ratio(probing, series, seen[0]))
         if series.tip is not None:
             seen.append(_seen_at_tip(probing, series, series.tip, result.estimate))
-        observed = [motion for each in seen for motion in _motion(series, each)]
+        observed = [motion for source in seen for motion in _motion(series, source)]
         motions += observed
         held += [series for _ in observed]
     estimate = result.estimate
     if motions:
-        shortest = min(each.rise for each in held)
-        longest = _LONGEST * max(each.hold for each in held)
+        shortest = min(series.rise for series in held)
+        longest = _LONGEST * max(series.hold for series in held)
         try:
             creep = fit_creep(motions, shortest=shortest, longest=longest)
         except InputError as error:
@@ -138,7 +138,7 @@ class _Seen:
 
 
 def _unusable(session: Session, probing: Probing, series: Series) -> str:
-    """Why the series of a probing says nothing about the modulus; empty if it does."""
+    """Why the series of a probing cannot be used; empty if it can."""
     if series.hold < _LEAST_HOLD * series.rise:
         return (
             f"the force is held for {series.hold:.3g} s after it rose for {series.rise:.3g} s; hold"
@@ -169,12 +169,12 @@ def _seen_at_tip(probing: Probing, series: Series, tip: Points, estimate: Estima
     A contact that grows is at every time that of an elastic body with the same c(t) (Lee and
     Radok): of the tip's motion, the depth under the tool goes with a power of c, the rest with c.
     """
-    own = probing.tip_displacement
-    own = tip[series.reference] if own is None else own
-    known = np.isfinite(own)
-    along = tip[:, known] @ own[known] / float(own[known] @ own[known])
+    measured = probing.tip_displacement
+    measured = tip[series.reference] if measured is None else measured
+    known = np.isfinite(measured)
+    along = tip[:, known] @ measured[known] / float(measured[known] @ measured[known])
     power, _ = _GROWING.get(_shape(probing.contact), (1.0, 0.0))
-    share = _depth(probing, estimate) / float(np.linalg.norm(own[known]))
+    share = _depth(probing, estimate) / float(np.linalg.norm(measured[known]))
     share = min(share, _DEEPEST)
     response = np.linspace(0.0, _LARGEST, 3001)
     moved = share * response**power + (1.0 - share) * response
@@ -212,7 +212,8 @@ def _far(probing: Probing) -> Flags:
 
 
 def _seen_in_frames(probing: Probing, series: Series, result: FitResult, index: int) -> _Seen:
-    """By weighted regression of every frame on what the static fit predicts at the same points."""
+    """Motion in every frame, by weighted regression on the static fit's prediction at its
+    points."""
     fitted = result.probes[index]
     known = np.isfinite(fitted.predicted) & _far(probing)[:, None]
     sigma = np.ones_like(fitted.predicted) if fitted.sigma is None else fitted.sigma
@@ -249,16 +250,16 @@ def _constant_ratio(probing: Probing, series: Series, seen: _Seen) -> str:
     (slope, _), covariance = np.polyfit(
         x, seen.change[used], 1, w=np.abs(seen.amplitude[used]), cov=True
     )
-    drift, std = -slope * x.min(), -math.sqrt(covariance[0, 0]) * x.min()
-    if abs(drift) > max(_SIGMAS * std, _LEAST_CHANGE):
+    change, std = -slope * x.min(), -math.sqrt(covariance[0, 0]) * x.min()
+    if abs(change) > max(_SIGMAS * std, _LEAST_CHANGE):
         return (
-            f"Poisson's ratio changes by {drift:+.3f} ± {std:.3f} over the hold of"
+            f"Poisson's ratio changes by {change:+.3f} ± {std:.3f} over the hold of"
             f" {probing.name!r}: the body does not only grow softer, and one function of time does"
             " not describe it."
         )
     return (
         f"Poisson's ratio is constant over the hold of {probing.name!r}: it changes by"
-        f" {drift:+.3f} ± {std:.3f}."
+        f" {change:+.3f} ± {std:.3f}."
     )
 
 
@@ -270,35 +271,35 @@ def _relaxation(
     known = estimate.identifiable
     name = "shear_modulus" if known["shear_modulus"] else "young_modulus"
     static: Constant = getattr(estimate, name)
-    rise, hold = min(each.rise for each in held), max(each.hold for each in held)
+    rise, hold = min(series.rise for series in held), max(series.hold for series in held)
 
-    def joint(quantity: _Quantity, *, of: Constant | None) -> list[Constant]:
+    def joint(quantity: _Quantity, *, scale: Constant | None) -> list[Constant]:
         values, std = creep.logarithm(quantity)
         pairs = zip(values, creep.quantile * std, strict=True)
-        return [_constant(float(value), float(wide), of) for value, wide in pairs]
+        return [_constant(float(value), float(wide), scale) for value, wide in pairs]
 
     steps = np.arange(
         math.ceil(_PER_DECADE * math.log10(rise) - 1e-9),
         math.floor(_PER_DECADE * math.log10(hold) + 1e-9) + 1,
     )
     time = 10.0 ** (steps / _PER_DECADE)
-    curve = joint(lambda each: each.relaxation().at(time), of=static)
-    ends = joint(_end_values, of=static)
+    curve = joint(lambda fit: fit.relaxation().at(time), scale=static)
+    ends = joint(_end_values, scale=static)
     modulus = creep.compliance.relaxation()
-    times = joint(lambda each: each.relaxation().times, of=None) if creep.terms else []
+    times = joint(lambda fit: fit.relaxation().times, scale=None) if creep.terms else []
     frequency = _frequencies(rise, hold) if creep.terms else np.zeros(0)
-    lags = joint(lambda each: each.relaxation().loss_angle(frequency), of=None)
+    lags = joint(lambda fit: fit.relaxation().loss_angle(frequency), scale=None)
     first, last, why = _ends(creep, ends, rise, hold)
     if not known[name]:
         why.append("No modulus is determined: only ratios of the curve and times are.")
     return RelaxationEstimate(
-        name, float(np.mean([each.age for each in held])), rise, hold,
+        name, float(np.mean([series.age for series in held])), rise, hold,
         static.value * modulus.instantaneous,
         tuple(
-            RelaxationTerm(each, float(term / modulus.instantaneous))
-            for each, term in zip(times, modulus.terms, strict=True)
+            RelaxationTerm(time_constant, float(term / modulus.instantaneous))
+            for time_constant, term in zip(times, modulus.terms, strict=True)
         ),
-        tuple(RelaxationPoint(float(t), each) for t, each in zip(time, curve, strict=True)),
+        tuple(RelaxationPoint(float(t), constant) for t, constant in zip(time, curve, strict=True)),
         first, last, (*why, *remarks),
         tuple(LossPoint(float(f), lag) for f, lag in zip(frequency, lags, strict=True)),
     )  # fmt: skip
@@ -310,16 +311,16 @@ def _frequencies(rise: float, hold: float) -> Float[np.ndarray, " n"]:
     return 10.0 ** np.arange(math.ceil(ends[0] - 1e-9), math.floor(ends[1] + 1e-9) + 1)
 
 
-def _constant(value: float, wide: float, of: Constant | None) -> Constant:
+def _constant(value: float, wide: float, scale: Constant | None) -> Constant:
     """A value from its logarithm and half the width of that one's interval; as a multiple of a
     constant, with the interval of both."""
-    if of is None:
-        of = Constant(1.0, 0.0, (1.0, 1.0))
-    low, high = of.ci95
+    if scale is None:
+        scale = Constant(1.0, 0.0, (1.0, 1.0))
+    low, high = scale.ci95
     if not 0.0 < low <= high < math.inf:
-        return Constant(of.value * math.exp(value), math.nan, (math.nan, math.nan))
-    below, above = (math.hypot(wide, math.log(end / of.value)) for end in of.ci95)
-    scaled = of.value * math.exp(value)
+        return Constant(scale.value * math.exp(value), math.nan, (math.nan, math.nan))
+    below, above = (math.hypot(wide, math.log(end / scale.value)) for end in scale.ci95)
+    scaled = scale.value * math.exp(value)
     ends = scaled * math.exp(-below), scaled * math.exp(above)
     return Constant(scaled, 0.5 * (ends[1] - ends[0]) / HALF_95, ends)
 

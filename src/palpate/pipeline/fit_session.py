@@ -149,9 +149,9 @@ def _fit_displacements(
     before("the given mesh", 0.0)
     refined = refined_session(session)
     # First, so that its memory is free again before the graded model is made.
-    report = part_of(before, 0.0, _GRADED, prefix="the given mesh: ")
+    first_part = part_of(before, 0.0, _GRADED, prefix="the given mesh: ")
     # The correction for finite strain presses a ball where it touched first, and lets it slide.
-    refined, ungraded = _on_ungraded_mesh(refined, settings, cache, not finite_strain, report)
+    refined, ungraded = _on_ungraded_mesh(refined, settings, cache, not finite_strain, first_part)
     compared = time.perf_counter()
     before("integrals over the surface", _GRADED)
     graded = graded_session(refined)
@@ -217,9 +217,9 @@ def prepare_body(
     """
     refined = refined_session(session)
     with_loads = not has_tools(session)
-    compared = [(each, rings) for _, each, rings in compared_meshes(refined)]
-    for each, rings in [(refined, 1), *compared]:
-        model = ungraded_model(each, settings=settings, rings=rings, cache=cache)
+    compared = [(body, rings) for _, body, rings in compared_meshes(refined)]
+    for body, rings in [(refined, 1), *compared]:
+        model = ungraded_model(body, settings=settings, rings=rings, cache=cache)
         _keep(model, settings, UNGRADED_RESIDUAL, with_loads=with_loads)
     if with_loads:
         graded = graded_session(refined)
@@ -241,7 +241,7 @@ def _described(session: Session, refined: Session, graded: Session) -> dict[str,
     return {
         "surface": "smooth" if session.smooth else "flat",
         "errors": asdict(session.errors),
-        "vertices": [len(each.mesh.vertices) for each in (session, refined, graded)],
+        "vertices": [len(meshed.mesh.vertices) for meshed in (session, refined, graded)],
         "assumed_forces": [
             probing.name for probing in session.probings if probing.force_std is None
         ],
@@ -266,19 +266,19 @@ def _on_ungraded_mesh(
 ) -> tuple[Session, list[ProbeObservations]]:
     """A session with the contacts of its tools, `displaced` with the object or where they touched
     first, and its observations with the model of the mesh before grading."""
-    report = part_of(progress, 0.0, _OWN)
+    first_part = part_of(progress, 0.0, _OWN)
     if has_tools(session):
         session, observations = with_consistent_contacts(
             session,
             settings=settings,
             cache=cache,
             displaced=displaced,
-            progress=report,
+            progress=first_part,
         )
     else:
         # The model is not kept, so that its memory is free before the next model is made.
         observations = ungraded_observations(
-            session, settings=settings, cache=cache, progress=report
+            session, settings=settings, cache=cache, progress=first_part
         )[1]
     return session, with_mesh_steps(
         session, observations, settings=settings, cache=cache,
@@ -355,7 +355,7 @@ def _session_notes(
 
 
 def _agreement(tested: Reciprocity | None) -> list[str]:
-    """That pushes agree, for those who want to know all."""
+    """A sentence that pushes agree, for the detailed notes."""
     return [tested.text] if tested is not None and tested.holds and tested.is_tested else []
 
 
@@ -432,7 +432,7 @@ def _contact_notes(session: Session, probes: Sequence[ProbeEstimate]) -> list[st
         if beside > _MENTIONED * contact.radius:
             places.append(f"{1e3 * beside:.2g} mm in {probing.name}")
         contact_errors = [
-            each for each in probe.errors if each.name.startswith((RADIUS_ERROR, OUTWARD_ERROR))
+            error for error in probe.errors if error.name.startswith((RADIUS_ERROR, OUTWARD_ERROR))
         ]
         if any(error.is_surprising for error in contact_errors):
             doubted.setdefault(tool.friction_name, []).append(probing.name)
@@ -454,11 +454,11 @@ def _contact_notes(session: Session, probes: Sequence[ProbeEstimate]) -> list[st
 def _rejection_notes(session: Session) -> list[str]:
     """A note on points that could not be tracked in the pictures."""
     counts = rejections(session)
-    return [rejection_note(counts)] if any(each.lost for each in counts) else []
+    return [rejection_note(counts)] if any(count.lost for count in counts) else []
 
 
 def _keep(model: ObjectModel, settings: FitSettings, residual: float, *, with_loads: bool) -> None:
-    """Have a model's factors computed, and its reduced model with its loads."""
+    """Compute a model's factors, and its reduced model with its loads, for the cache."""
     # On springs, a reduced model depends on the shear modulus.
     if with_loads and model.springs is None:
         reduced_model_of(model, settings=settings, residual=residual)

@@ -175,13 +175,13 @@ def _fit_with_regions(
     progress: Progress,
 ) -> tuple[FitResult, RegionFit]:
     """The fit with a modulus for every region of the session."""
-    report = part_of(progress, 0.0, _FOUND)
-    regions = fit_regions(session, observations, settings=settings, progress=report)
+    stage_progress = part_of(progress, 0.0, _FOUND)
+    regions = fit_regions(session, observations, settings=settings, progress=stage_progress)
     result = fit(regions.observations, settings=settings, progress=part_of(progress, _FOUND, 1.0))
     estimate, estimates = result.estimate, regions.estimates(result.minimum)
     if estimate.status is Status.MODEL_CONTRADICTED:
-        estimates = tuple(each.without_interval for each in estimates)
-    notes = tuple(each.note for each in estimates if each.note)
+        estimates = tuple(region.without_interval for region in estimates)
+    notes = tuple(region.note for region in estimates if region.note)
     estimate = replace(estimate, regions=estimates, notes=(*estimate.notes, *notes))
     return replace(result, estimate=estimate, map=regions.map(result.minimum)), regions
 
@@ -229,7 +229,11 @@ def fit_other_causes(
         likeliest, *others = explanations(session, observations, plain.minimum, cache=cache)
     except (MeshError, SingularSystemError):
         return plain, None
-    field = max(each.log_evidence for each in (likeliest, *others) if each.cause is Cause.PLACE)
+    field = max(
+        explanation.log_evidence
+        for explanation in (likeliest, *others)
+        if explanation.cause is Cause.PLACE
+    )
     errors = evidence_of_errors(plain.minimum)
     if errors - likeliest.log_evidence > DECISIVE:
         return plain, None
@@ -253,8 +257,8 @@ def _fit_with_cause(
     constant."""
     if cause.cause is Cause.SUPPORT:
         cause = cause.with_parts_let_go(plain.minimum, settings)
-    explained = cause.with_field(session, observations)
-    result = fit(explained, settings=settings, progress=part_of(progress, _FOUND, 1.0))
+    with_cause = cause.with_field(session, observations)
+    result = fit(with_cause, settings=settings, progress=part_of(progress, _FOUND, 1.0))
     note = (
         f"The displacements ask for {cause.cause} (log evidence {cause.log_evidence:.0f} over one"
         f" modulus; {field:.0f} for {Cause.PLACE}): {_MEANING[cause.cause]}"
@@ -305,9 +309,9 @@ def _fit_with_field(
     ------
     InputError, MeshError, NotConvergedError    as `fit_field`
     """
-    report = part_of(progress, 0.0, _FOUND)
+    stage_progress = part_of(progress, 0.0, _FOUND)
     try:
-        field = fit_field(session, observations, settings=settings, progress=report)
+        field = fit_field(session, observations, settings=settings, progress=stage_progress)
     except (MeshError, NotConvergedError, SingularSystemError) as error:
         if material is Material.FIELD:
             raise
@@ -329,7 +333,7 @@ def _fit_with_field(
 def _heterogeneous(
     result: FitResult, plain: FitResult, described: FieldEstimate, mapped: ModulusMap
 ) -> FitResult:
-    """A fit with what it says of moduli that differ from place to place, beside the plain one."""
+    """A fit that describes moduli that differ from place to place, compared with the plain fit."""
     estimate = result.estimate
     status = Status.HETEROGENEOUS if estimate.status is Status.OK else estimate.status
     probes = tuple(
@@ -339,7 +343,7 @@ def _heterogeneous(
     verdict, *parts = described.sentences
     verdict += _gain(probes)
     sentences = [verdict, *(["; ".join(parts)] if parts else [])]
-    notes = tuple(f"{each[0].upper()}{each[1:]}." for each in sentences)
+    notes = tuple(f"{sentence[0].upper()}{sentence[1:]}." for sentence in sentences)
     estimate = replace(
         estimate, status=status, field=described, probes=probes, notes=(*notes, *estimate.notes)
     )
@@ -352,8 +356,8 @@ def _noted(result: FitResult, note: str) -> FitResult:
 
 
 def _gain(probes: Sequence[ProbeEstimate]) -> str:
-    """How much better pushes are predicted from the others with a field, as the end of a
-    sentence; empty of a single push."""
+    """How much better pushes are predicted from the others with a field, as the end of a sentence;
+    empty for a single push."""
     pairs = [
         (probe.prediction_error, probe.homogeneous_error)
         for probe in probes

@@ -95,28 +95,28 @@ def _amplitudes(
     its logarithm."""
     predicted = [_predicted(minimum, int(k)) for k in group]
     seen = [minimum.problem.probes[k].observations for k in group]
-    measured = [each.displacement for each in seen]
-    present = [np.isfinite(each).all(axis=1) for each in measured]
+    measured = [push.displacement for push in seen]
+    present = [np.isfinite(values).all(axis=1) for values in measured]
     amplitude = np.array([
         float(u[row].ravel() @ w[row].ravel()) / float((w[row] ** 2).sum())
         for u, w, row in zip(measured, predicted, present, strict=True)
     ])  # fmt: skip
     left = [u - a * w for u, a, w in zip(measured, amplitude, predicted, strict=True)]
-    common = _common([each.position for each in seen], present)
+    common = _common([push.position for push in seen], present)
     if common.sum() >= _FEWEST:
-        mean = np.mean([each[common] / f for each, f in zip(left, force, strict=True)], axis=0)
-        left = [each[common] - f * mean for each, f in zip(left, force, strict=True)]
-        present = [np.ones(len(each), dtype=bool) for each in left]
-        predicted = [each[common] for each in predicted]
+        mean = np.mean([values[common] / f for values, f in zip(left, force, strict=True)], axis=0)
+        left = [values[common] - f * mean for values, f in zip(left, force, strict=True)]
+        present = [np.ones(len(values), dtype=bool) for values in left]
+        predicted = [values[common] for values in predicted]
     variance = [
         float((r[row] ** 2).mean() / (w[row] ** 2).sum())
         for r, w, row in zip(left, predicted, present, strict=True)
     ]
-    own = [
-        float(np.linalg.norm(each.force_std * each.force)) / f**2
-        for each, f in zip(seen, force, strict=True)
+    force_error = [
+        float(np.linalg.norm(push.force_std * push.force)) / f**2
+        for push, f in zip(seen, force, strict=True)
     ]
-    return amplitude, np.array(variance) / amplitude**2 + np.square(own)
+    return amplitude, np.array(variance) / amplitude**2 + np.square(force_error)
 
 
 def _predicted(minimum: Evaluation, index: int) -> Float[np.ndarray, "n 3"]:
@@ -131,6 +131,6 @@ def _common(
     places: Sequence[Float[np.ndarray, "_ 3"]], present: Sequence[Bool[np.ndarray, " _"]]
 ) -> Bool[np.ndarray, " n"]:
     """Points that all pushes measured, where all have the same ones; else none."""
-    if any(not np.array_equal(places[0], each) for each in places[1:]):
+    if any(not np.array_equal(places[0], points) for points in places[1:]):
         return np.zeros(len(places[0]), dtype=bool)
     return np.logical_and.reduce(present)

@@ -160,7 +160,9 @@ def converged_observations(
     make = _session_observations_at(
         session, model, settings=settings, with_surface=with_surface, residual=residual
     )
-    stiffnesses = [each.stiffness for each in session.supports if each.stiffness is not None]
+    stiffnesses = [
+        support.stiffness for support in session.supports if support.stiffness is not None
+    ]
     if not stiffnesses:
         return _with_mesh_errors(make(1.0), coarser)
     length = bounding_diagonal(session.mesh)
@@ -353,7 +355,7 @@ def compared_meshes(session: Session) -> list[tuple[str, Session, int]]:
     meshes = [("wider fits", session, 2)]
     if len(refined.mesh.vertices) > len(session.mesh.vertices):
         meshes.append(("finer edges", refined, 1))
-    return [each for each in meshes if len(each[1].mesh.vertices) <= LARGEST_DENSE]
+    return [compared for compared in meshes if len(compared[1].mesh.vertices) <= LARGEST_DENSE]
 
 
 def graded_observations(session: Session) -> list[ProbeObservations]:
@@ -403,7 +405,7 @@ def _session_observations_at(
 def _rows(
     session: Session, model: ObjectModel, *, with_surface: bool
 ) -> Iterator[ObservationMatrix]:
-    """Those of every probing's points; then, where they are needed, those of all vertices."""
+    """Observation matrices of every probing's points; then, where needed, of all vertices."""
     for k, probing in enumerate(session.probings):
         field = _measured(probing)
         yield probe_rows(model, k, field.surface, average=field.average)
@@ -442,15 +444,15 @@ def _pose_changes(session: Session, model: ObjectModel) -> list[list[csr_array]]
     every, numbers = distinct_points(surfaces)
     changes = pose_changes(model, every)
     rows = [(3 * number[:, None] + np.arange(3)).ravel() for number in numbers]
-    return [[change[own] for change in changes] for own in rows]
+    return [[change[rows_of_probing] for change in changes] for rows_of_probing in rows]
 
 
 def _vertices(mesh: TriangleMesh) -> SurfacePoints:
     """All vertices as points of the surface."""
     corner = np.zeros(len(mesh.vertices), dtype=np.int64)
     corner[mesh.triangles.ravel()] = np.arange(mesh.triangles.size)
-    triangle, place = np.divmod(corner, 3)
-    return SurfacePoints(triangle, np.eye(3)[place], mesh.vertices, np.zeros(len(corner)))
+    triangle, corner_index = np.divmod(corner, 3)
+    return SurfacePoints(triangle, np.eye(3)[corner_index], mesh.vertices, np.zeros(len(corner)))
 
 
 def _observations(
@@ -532,6 +534,6 @@ def _with_mesh_errors(
         error = model_step(
             _GRADING, REMAINING_FRACTION, coarse.response_terms, probe.response_terms
         )
-        steps = (each for each in coarse.nuisances if each.parameters[0].is_model_error)
+        steps = (nuisance for nuisance in coarse.nuisances if nuisance.parameters[0].is_model_error)
         with_errors.append(replace(probe, nuisances=(*probe.nuisances, error, *steps)))
     return with_errors

@@ -124,13 +124,13 @@ class LocalField:
 def _prior_covariance(
     distance: Float[np.ndarray, "n k"],
     here: Points,
-    there: Float[np.ndarray, "k 3"],
+    others: Float[np.ndarray, "k 3"],
     shape: tuple[float, float],
 ) -> Float[np.ndarray, "n k"]:
     """Covariance of plane and process between points, over the noise's variance: Matern's, of
     smoothness 5/2."""
     length, power = shape
-    return np.asarray(power * _process(distance, length) + _PLANE * (1.0 + here @ there.T))
+    return np.asarray(power * _process(distance, length) + _PLANE * (1.0 + here @ others.T))
 
 
 def _process(distance: Float[np.ndarray, "n k"], length: float) -> Float[np.ndarray, "n k"]:
@@ -174,11 +174,11 @@ def local_field(
         sharp = np.einsum("ann->na", field.inverse)
         scaled = np.einsum("anm,ma->na", field.inverse, field.moved)
         off = np.abs(scaled) / (np.sqrt(sharp) * field.level)
-        kept = off.max(axis=1) < -float(ndtri(0.5 * FALSE_ALARM / off.size))
-        if kept.all():
+        inliers = off.max(axis=1) < -float(ndtri(0.5 * FALSE_ALARM / off.size))
+        if inliers.all():
             break
-        rows, points, moved = rows[kept], points[kept], moved[kept]
-        noise = noise[:, kept][:, :, kept]
+        rows, points, moved = rows[inliers], points[inliers], moved[inliers]
+        noise = noise[:, inliers][:, :, inliers]
     return field
 
 
@@ -195,25 +195,26 @@ def _most_likely(
     small a level is one of many."""
     origin = points.mean(axis=0)
     size = float(np.linalg.norm(points - origin, axis=1).max())
-    middle, place = moved.mean(axis=0), (points - origin) / size
+    middle, position = moved.mean(axis=0), (points - origin) / size
     around = moved - middle
-    apart = cdist(place, place)
+    apart = cdist(position, position)
     if (noise == noise[0]).all():
         noise = noise[:1]
     motion = float(np.sqrt((around**2).mean())) + np.finfo(float).tiny ** 0.25
     levels = claim * _LOUD if claimed else motion * _QUIET
     # The plane is taken out: what is left of n points is n - 4 combinations of them.
-    rest = np.linalg.qr(np.column_stack([np.ones(len(place)), place]), mode="complete")[0][:, 4:]
+    plane = np.column_stack([np.ones(len(position)), position])
+    rest = np.linalg.qr(plane, mode="complete")[0][:, 4:]
     white = np.linalg.inv(np.linalg.cholesky(rest.T @ noise @ rest)) @ rest.T
     chance = np.zeros((len(_LENGTHS), len(levels), len(_RATIOS)))
     for k, length in enumerate(_LENGTHS):
         value, axes = np.linalg.eigh(white @ _process(apart, length) @ white.mT)
         square = (axes.mT @ white @ around) ** 2
-        each = square.sum(axis=2) if len(noise) == 1 else np.einsum("ana->an", square)
+        squares = square.sum(axis=2) if len(noise) == 1 else np.einsum("ana->an", square)
         # Over the square of the level, so that all levels share what takes time.
         total = 1.0 + _RATIOS[:, None, None] * np.maximum(value, 0.0)
         volume = 3 / len(noise) * np.log(total).sum(axis=(1, 2))
-        misfit = (each / total).sum(axis=(1, 2))
+        misfit = (squares / total).sum(axis=(1, 2))
         count = 3.0 * value.shape[1]
         chance[k] = -0.5 * (volume + misfit / levels[:, None] ** 2)
         chance[k] -= count * np.log(levels)[:, None]
@@ -222,10 +223,12 @@ def _most_likely(
     nearest = int(np.abs(np.log(levels / level)).argmin())
     k, p = np.unravel_index(chance[:, nearest].argmax(), chance[:, 0].shape)
     shape = (float(_LENGTHS[k]), float(_RATIOS[p] * (levels[nearest] / level) ** 2))
-    sides = np.linalg.inv(np.linalg.cholesky(_prior_covariance(apart, place, place, shape) + noise))
+    sides = np.linalg.inv(
+        np.linalg.cholesky(_prior_covariance(apart, position, position, shape) + noise)
+    )
     inverse = np.broadcast_to(sides.mT @ sides, (3, *apart.shape))
     return LocalField(
-        rows, origin, size, place, middle, around, apart, shape, level, claim, inverse
+        rows, origin, size, position, middle, around, apart, shape, level, claim, inverse
     )
 
 
@@ -297,7 +300,7 @@ def make_patch(mesh: TriangleMesh, contact: Contact) -> Patch:
     offsets = _displacements(normal, step)
     places = [(points - contact.point - offset) / contact.radius for offset in offsets]
     places += [places[0] / grown for grown in (1.0 + _GROWN, 1.0 - _GROWN)]
-    share = np.stack([area * contact.pressure_at(place) for place in places])
+    share = np.stack([area * contact.pressure_at(position) for position in places])
     used = share.any(axis=0)
     share = share[:, used] / share.sum(axis=1, keepdims=True)
     return Patch(contact.point, points[used], share, step, normal, contact.reach)
@@ -333,7 +336,7 @@ def _longest_side(corner: Float[np.ndarray, "m 3 3"]) -> float:
 
 
 def _displacements(normal: Vector3, step: float) -> list[Vector3]:
-    """None, then one along each tangent forward and back."""
+    """Zero, then a step forward and a step back along each tangent."""
     along = [sign * step * tangent for tangent in tangents_of(normal) for sign in (1.0, -1.0)]
     return [np.zeros(3), *along]
 
@@ -361,7 +364,10 @@ class PatchMotion:
 
 
 def patch_motion(
-    mesh: TriangleMesh, field: DisplacementField, patches: Sequence[Patch], own: Sequence[Patch]
+    mesh: TriangleMesh,
+    field: DisplacementField,
+    patches: Sequence[Patch],
+    pressing: Sequence[Patch],
 ) -> PatchMotion:
     """How patches move in a probing.
 
@@ -372,7 +378,7 @@ def patch_motion(
     mesh : TriangleMesh
     field : DisplacementField       of the probing
     patches : sequence of p Patch
-    own : sequence of Patch         where the probing itself presses; another patch is judged by the
+    pressing : sequence of Patch    where the probing itself presses; another patch is judged by the
                                     points that are nearer to it than to these
 
     Returns
@@ -381,7 +387,7 @@ def patch_motion(
     """
     measured = np.flatnonzero(np.isfinite(field.displacement).all(axis=1))
     spacing = _spacing(field.points[measured])
-    around = [_around(mesh, field, measured, patch, own, spacing) for patch in patches]
+    around = [_around(mesh, field, measured, patch, pressing, spacing) for patch in patches]
     parts, smooth = [], np.zeros((len(patches), 3, len(field.points)))
     for group in _groups(patches, [len(rows) > 0 for rows in around]):
         rows = np.unique(np.concatenate([around[p] for p in group]))
@@ -421,8 +427,8 @@ def _moved(
         chosen = [patches[p] for p in group]
         rest = motion.rest(_points(chosen), _shares(chosen))
         for a in range(3):
-            own = np.ix_(group, np.array([a]), group, np.array([a]))
-            covariance[own] += rest[a][:, None, :, None]
+            entries = np.ix_(group, np.array([a]), group, np.array([a]))
+            covariance[entries] += rest[a][:, None, :, None]
     return PatchMotion(seen, mean, gradient, growth, covariance)
 
 
@@ -438,7 +444,7 @@ def _around(
     field: DisplacementField,
     measured: _Rows,
     patch: Patch,
-    own: Sequence[Patch],
+    pressing: Sequence[Patch],
     spacing: float,
 ) -> _Rows:
     """Measured points that tell how a patch moves, nearest first; none where they do not surround
@@ -446,14 +452,14 @@ def _around(
     points = field.points[measured]
     distance = np.linalg.norm(points - patch.centre, axis=1)
     facing = unit_normals(mesh)[field.surface.triangle[measured]] @ patch.normal > 0.0
-    apart = [float(np.linalg.norm(each.centre - patch.centre)) - each.reach for each in own]
-    pressed = min(apart, default=np.inf) < patch.reach
-    reach = patch.reach if pressed else max(patch.reach, spacing)
+    apart = [float(np.linalg.norm(tool.centre - patch.centre)) - tool.reach for tool in pressing]
+    is_pressed = min(apart, default=np.inf) < patch.reach
+    reach = patch.reach if is_pressed else max(patch.reach, spacing)
     if (facing & (distance <= reach)).sum() < _SURROUNDING:
         return measured[:0]
     nearer = np.ones(len(points), dtype=bool)
-    for each in own if not pressed else ():
-        nearer &= distance < np.linalg.norm(points - each.centre, axis=1)
+    for tool in pressing if not is_pressed else ():
+        nearer &= distance < np.linalg.norm(points - tool.centre, axis=1)
     order = np.flatnonzero(nearer)[np.argsort(distance[nearer], kind="stable")]
     count = max(_NEAREST, int((distance[order] < _REACHES * patch.reach).sum()))
     chosen = order[:count]
@@ -483,10 +489,10 @@ def _noise(field: DisplacementField, rows: _Rows) -> Float[np.ndarray, "3 k k"]:
     """Covariance of each component's noise at some points [m^2], or one where it is not given."""
     std = np.ones((len(rows), 3)) if field.std is None else field.std[rows]
     shared = field.correlation.subset(rows, len(field.points))
-    noise = np.stack([np.diag(each) for each in std.T**2])
-    (one, other), value = shared.pair.T, shared.value
-    noise[:, one, other] = (value[:, None] * std[one] * std[other]).T
-    noise[:, other, one] = noise[:, one, other]
+    noise = np.stack([np.diag(variance) for variance in std.T**2])
+    (first, other), value = shared.pair.T, shared.value
+    noise[:, first, other] = (value[:, None] * std[first] * std[other]).T
+    noise[:, other, first] = noise[:, first, other]
     if not len(value):
         return noise
     # Correlations that are known pair by pair need not fit together.
@@ -506,8 +512,8 @@ def _spread(
     spread = np.einsum("pan,nab,qbn->paqb", weights, block, weights, optimize=True)
     shared = field.correlation.subset(used, len(field.points))
     scaled = weights * std.T
-    one, other = scaled[:, :, shared.pair[:, 0]] * shared.value, scaled[:, :, shared.pair[:, 1]]
-    across = np.einsum("pam,qam->apq", one, other)
+    first, other = scaled[:, :, shared.pair[:, 0]] * shared.value, scaled[:, :, shared.pair[:, 1]]
+    across = np.einsum("pam,qam->apq", first, other)
     for a in range(3):
         spread[:, a, :, a] += across[a] + across[a].T
     # As above: what pairs have in common need not make a covariance.

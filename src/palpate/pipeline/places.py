@@ -99,10 +99,10 @@ def _from_the_support(session: Session, normals: Points) -> Bool[np.ndarray, " v
 
 
 def _shaft_is_free(
-    mesh: TriangleMesh, place: np.ndarray, outward: np.ndarray, radius: float
+    mesh: TriangleMesh, point: np.ndarray, outward: np.ndarray, radius: float
 ) -> bool:
     """Whether the tool's shaft would be clear of the object."""
-    offset = mesh.vertices[mesh.triangles].mean(axis=1) - place
+    offset = mesh.vertices[mesh.triangles].mean(axis=1) - point
     along = offset @ outward
     off_axis = np.linalg.norm(offset - along[:, None] * outward, axis=1)
     return not bool(((along > _SHAFT_STARTS * radius) & (off_axis < _SHAFT_RADII * radius)).any())

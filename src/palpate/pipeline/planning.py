@@ -156,9 +156,9 @@ def plan_measurement(
     taken = planned_pictures(
         session, [u for u, _ in moved], material=material, pictures=pictures, variant=variant
     )
-    report = part_of(progress, _PICTURES, _POINTS)
-    report("texture and light", 0.0)
-    fields = _followed(session, rig, taken, show, report)
+    stage_progress = part_of(progress, _PICTURES, _POINTS)
+    stage_progress("texture and light", 0.0)
+    fields = _followed(session, rig, taken, show, stage_progress)
     measured = _measured(session, fields, [tip for _, tip in moved])
     progress("what the points tell", _POINTS)
     information = _information(measured, material)
@@ -261,18 +261,18 @@ def plan_next(
             " without pictures are not planned)"
         )
     if fitted is None:
-        report = part_of(progress, 0.0, 0.4)
-        fitted = fit_session(session, cache=cache, material=Substance.AUTO, progress=report)
+        stage_progress = part_of(progress, 0.0, 0.4)
+        fitted = fit_session(session, cache=cache, material=Substance.AUTO, progress=stage_progress)
     session = _with_radii(session, fitted.estimate)
     radius = session.probings[0].contact.radius or 0.0
     measured = _measured_session(session, fitted.estimate)
-    force = float(np.median([np.linalg.norm(each.force) for each in measured.probings]))
+    force = float(np.median([np.linalg.norm(probing.force) for probing in measured.probings]))
     progress("what every place tells", 0.4)
     further, observed = _at_places(measured, radius, force, known, cache)
     point = np.array([probing.contact.point for probing, _ in further])
-    inward = np.array([each.force / np.linalg.norm(each.force) for each, _ in further])
-    every = replace(measured, probings=(*measured.probings, *(each for each, _ in further)))
-    observed = [*observed, *(each for _, each in further)]
+    inward = np.array([probing.force / np.linalg.norm(probing.force) for probing, _ in further])
+    every = replace(measured, probings=(*measured.probings, *(probing for probing, _ in further)))
+    observed = [*observed, *(observations for _, observations in further)]
     information, is_uniform = _information_of(every, observed, fitted)
     made = range(len(session.probings))
 
@@ -327,8 +327,8 @@ def _at_places(
     if not len(point):
         raise InputError("no place of the surface is left for a further probing of this radius")
     further = tuple(
-        _like(session.probings[0], session.mesh, place, force * along, f"further {k}")
-        for k, (place, along) in enumerate(zip(point, inward, strict=True))
+        _like(session.probings[0], session.mesh, position, force * along, f"further {k}")
+        for k, (position, along) in enumerate(zip(point, inward, strict=True))
     )
     made = len(session.probings)
     observed = _observed(replace(session, probings=(*session.probings, *further)), cache)
@@ -350,8 +350,8 @@ def _observed(session: Session, cache: Cache | None) -> list[ProbeObservations]:
 def _information_of(
     session: Session, observed: Sequence[ProbeObservations], fitted: FitResult
 ) -> tuple[Information, bool]:
-    """What the probings of a session tell, those that are planned included, and whether the body
-    that was fitted is the same everywhere."""
+    """Information of a session's probings, planned ones included, and whether the fitted body is
+    the same everywhere."""
     minimum, predict, constants = fitted.minimum, fitted.predict, fitted.estimate
     field = predict.field if isinstance(predict, Predictor) else None
     if field is not None:
@@ -362,7 +362,7 @@ def _information_of(
         observed,
         poisson_ratio=constants.poisson_ratio.value,
         shear_modulus=constants.shear_modulus.value,
-        errors={each.name: value for each, value in shared if each.is_material},
+        errors={error.name: value for error, value in shared if error.is_material},
     )
     return information, field is None
 
@@ -386,8 +386,9 @@ def expected_precision(session: Session) -> dict[str, float]:
     SingularSystemError, NotConvergedError    as in `session_observations`
     """
     size, moved = bounding_diagonal(session.mesh), _lengths(session)
-    shear = max(float(np.linalg.norm(each.force)) for each in session.probings) / (size * moved)
-    has_tool = any(each.contact.radius is None for each in session.probings)
+    strongest = max(float(np.linalg.norm(probing.force)) for probing in session.probings)
+    shear = strongest / (size * moved)
+    has_tool = any(probing.contact.radius is None for probing in session.probings)
     for _ in range(2 if has_tool else 1):
         settled = with_contact_radii(session, shear_modulus=shear, poisson_ratio=_RATIOS[1])
         observed = session_observations(settled, make_object_model(settled), shear_modulus=shear)
@@ -411,8 +412,8 @@ def expected_precision(session: Session) -> dict[str, float]:
 
 def _lengths(session: Session) -> float:
     """Typical displacement of the measured points [m]."""
-    fields = [each.displacement for each in session.probings if each.displacement is not None]
-    length = [lengths(each.displacement[observed_rows(each)]) for each in fields]
+    fields = (probing.displacement for probing in session.probings)
+    length = [lengths(f.displacement[observed_rows(f)]) for f in fields if f is not None]
     return float(np.median(np.concatenate(length)))
 
 
@@ -426,7 +427,7 @@ def _explaining(observed: Sequence[ProbeObservations], ratio: float) -> tuple[fl
         rows = probe.response.value(ratio)[: len(measured), : len(load)] @ load
         known = np.isfinite(measured)
         parts.append((measured[known], rows[known]))
-    measured, unit = (np.concatenate(each) for each in zip(*parts, strict=True))
+    measured, unit = (np.concatenate(column) for column in zip(*parts, strict=True))
     compliance = float(measured @ unit) / float(unit @ unit)
     left = float(np.sqrt(np.mean((measured - compliance * unit) ** 2)))
     return 1.0 / compliance, ratio, left
@@ -576,13 +577,13 @@ def _with_std(probing: Probing, rms: float) -> Probing:
 
 
 def _like(
-    first: Probing, mesh: TriangleMesh, place: np.ndarray, force: np.ndarray, name: str
+    first: Probing, mesh: TriangleMesh, position: np.ndarray, force: np.ndarray, name: str
 ) -> Probing:
     """A probing like the first, at another place."""
     field, contact = first.displacement, first.contact
     if field is None or field.std is None:
         raise InputError(f"probing '{first.name}' has no displacement")
-    distance = np.linalg.norm(field.points - place, axis=1)
+    distance = np.linalg.norm(field.points - position, axis=1)
     observed = distance > _HIDDEN_RADII * (contact.radius or 0.0)
     observed &= np.isfinite(field.displacement).any(axis=1)
     points = field.points[observed]
@@ -594,6 +595,6 @@ def _like(
     if force_std is not None:
         force_std = np.full(3, np.linalg.norm(force_std) / np.sqrt(3.0))
     return Probing(
-        name, replace(contact, point=place), force, force_std, None, None, planned, None,
+        name, replace(contact, point=position), force, force_std, None, None, planned, None,
         force_sensor=first.force_sensor,
     )  # fmt: skip

@@ -140,7 +140,9 @@ def poke_session(
     progress("interior points", 0.8)
     inside = None
     if interior is not None:
-        parts = [interior_state(elastic_map, load, each, interior) for load, each in pushes]
+        parts = [
+            interior_state(elastic_map, load, push_force, interior) for load, push_force in pushes
+        ]
         inside = InteriorState(
             np.sum([part.displacement for part in parts], axis=0),
             np.sum([part.stress for part in parts], axis=0),

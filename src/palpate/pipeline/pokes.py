@@ -82,12 +82,12 @@ def fit_pokes(
     progress("finite elements", 0.0)
     session = _flattened(session)
     model = make_poke_model(session)
-    report = part_of(progress, 0.0, _MODELLED)
-    regular = _regular(model, settings.poisson_range, _DEGREE, report)
+    stage_progress = part_of(progress, 0.0, _MODELLED)
+    regular = _regular(model, settings.poisson_range, _DEGREE, stage_progress)
     modelled = time.perf_counter()
     observations = _settled_observations(session, regular, settings)
-    report = part_of(progress, _MODELLED, _FITTED)
-    result, field = fit(observations, settings=settings, progress=report), None
+    stage_progress = part_of(progress, _MODELLED, _FITTED)
+    result, field = fit(observations, settings=settings, progress=stage_progress), None
     if material is not Material.HOMOGENEOUS:
         last = part_of(progress, _FITTED, 1.0)
         result, field = fit_other_causes(material, session, observations, result, settings, last)
@@ -129,16 +129,16 @@ def pooled(session: Session) -> Session:
     -------
     Session
     """
-    one = replace(
+    together = replace(
         session.probings[0], name=POKES, displacement=_field(session), tip_displacement=None,
         tip_displacement_std=None,
     )  # fmt: skip
-    return replace(session, probings=(one,))
+    return replace(session, probings=(together,))
 
 
 def _field(session: Session) -> DisplacementField:
     """How far the tool went in along its force, at each poke."""
-    points = np.stack([each.contact.point for each in session.probings])
+    points = np.stack([probing.contact.point for probing in session.probings])
     force, tip = _forces(session), _tips(session)
     push = force / np.linalg.norm(force, axis=1, keepdims=True)
     return DisplacementField(
@@ -205,26 +205,26 @@ def poke_observations(
 
 
 def _forces(session: Session) -> Points:
-    return np.stack([each.force for each in session.probings])
+    return np.stack([probing.force for probing in session.probings])
 
 
 def _tips(session: Session) -> Points:
-    tips = [each.tip_displacement for each in session.probings]
+    tips = [probing.tip_displacement for probing in session.probings]
     return np.stack([tip for tip in tips if tip is not None])
 
 
 def _std(session: Session, push: Points) -> Points | None:
-    """Standard deviations of what is observed, those of the forces included, which count as if all
-    of a depth went with them; None: one is not known."""
-    stds = [each.tip_displacement_std for each in session.probings]
+    """Standard deviations of what is observed, including those of the forces, as if depths were
+    proportional to forces; None if one is unknown."""
+    stds = [probing.tip_displacement_std for probing in session.probings]
     known = [std for std in stds if std is not None]
     if len(known) < len(stds):
         return None
     relative = [
         session.errors.force
-        if each.force_std is None
-        else float(np.linalg.norm(each.force_std) / np.linalg.norm(each.force))
-        for each in session.probings
+        if probing.force_std is None
+        else float(np.linalg.norm(probing.force_std) / np.linalg.norm(probing.force))
+        for probing in session.probings
     ]
     depth = np.linalg.norm(_tips(session), axis=1)
     along = np.hypot(np.linalg.norm(np.stack(known) * push, axis=1), relative * depth)
@@ -245,7 +245,7 @@ def _gain(std: float) -> Nuisance:
 
 
 def _flattened(session: Session) -> Session:
-    """The session with the tools that dent a flat surface as its own dent the object's."""
+    """The session with tools that would dent a flat surface as its own tools dent the object."""
     probings = []
     for probing, tool in zip(session.probings, tools(session), strict=True):
         curvature = local_surface(session.mesh, probing.contact.point, tool.radius).curvature
@@ -274,7 +274,9 @@ def _settled_observations(
 ) -> list[ProbeObservations]:
     """Observations about the modulus that fits best."""
     # As of a half space, whose dent goes with the modulus to the power q - 1.
-    depth, force = (np.linalg.norm(each, axis=1) for each in (_tips(session), _forces(session)))
+    depth, force = (
+        np.linalg.norm(vectors, axis=1) for vectors in (_tips(session), _forces(session))
+    )
     # For M = 1 Pa; times G over the force, which is half of M.
     softest = dents(session, 1.0, 0.5) * force / 0.5
     modulus = float(np.median((softest / depth) ** (1.0 / (1.0 - growths(session)))))

@@ -116,18 +116,18 @@ def reciprocity(session: Session) -> Reciprocity:
             "Supports move, and the work of their reactions is known only of a single support that"
             " holds in all directions."
         )
-    probings = tuple(one for one in session.probings if one.displacement is not None)
-    gripped = [one.name for one in probings if one.contact.profile == RIGID]
+    probings = tuple(probing for probing in session.probings if probing.displacement is not None)
+    gripped = [probing.name for probing in probings if probing.contact.profile == RIGID]
     reasons = [f"A grip pulls in {', '.join(gripped)}, not a tool."] if gripped else []
-    probings = tuple(one for one in probings if one.name not in gripped)
+    probings = tuple(probing for probing in probings if probing.name not in gripped)
     if len(probings) < 2:
         return _untested(*reasons, "It takes two pushes with measured displacements.")
     works = _works(session, probings, moving)
     reasons += _unseen(works)
-    one, other = np.nonzero(np.triu(works.seen & works.seen.T, 1))
-    if not one.size:
+    first, other = np.nonzero(np.triu(works.seen & works.seen.T, 1))
+    if not first.size:
         return _untested(*reasons)
-    return _judged(session, works, moving, (one, other), tuple(reasons))
+    return _judged(session, works, moving, (first, other), tuple(reasons))
 
 
 def _untested(*reasons: str) -> Reciprocity:
@@ -149,13 +149,15 @@ def _works(
                 patches.append(patch)
                 rows.append((k, force, False))
     owner = np.array([k for k, _, _ in rows]) == np.arange(len(probings))[:, None]
-    force = np.stack([each for _, each, _ in rows])
+    force = np.stack([patch_force for _, patch_force, _ in rows])
     tool = force * np.array([by_tool for _, _, by_tool in rows])[:, None]
     fields = [probing.displacement for probing in probings if probing.displacement is not None]
-    pressed = [[patches[p] for p in np.flatnonzero(own)] for own in owner]
+    pressing_patches = [[patches[p] for p in np.flatnonzero(is_own)] for is_own in owner]
     motions = tuple(
         map_in_threads(
-            lambda field, own: patch_motion(session.mesh, field, patches, own), fields, pressed
+            lambda field, pressing: patch_motion(session.mesh, field, patches, pressing),
+            fields,
+            pressing_patches,
         )
     )
     mean = np.stack([motion.mean for motion in motions])
@@ -189,7 +191,7 @@ def _modes(patches: Sequence[Patch], support: MovingSupport) -> Float[np.ndarray
 
 
 def _unseen(works: _Works) -> list[str]:
-    """A sentence on the pushes of no pair, or on all of them."""
+    """A sentence on pushes that are in no pair; empty if there are none."""
     both = works.seen & works.seen.T
     np.fill_diagonal(both, False)
     names = [works.probings[k].name for k in np.flatnonzero(~both.any(axis=1))]
@@ -215,7 +217,7 @@ def _changes(
     priors, axes, count = session.errors, np.eye(3), len(works.probings)
     gradient = np.stack([motion.gradient for motion in works.motions])
     growth = np.stack([motion.growth for motion in works.motions])
-    own = np.eye(count)
+    identity = np.eye(count)
     for k, probing in enumerate(works.probings):
         tool = works.tool * works.owner[k][:, None]
         if not tool.any():
@@ -251,7 +253,7 @@ def _changes(
             for k, probing in enumerate(works.probings):
                 std = given_motion(session, probing, support).std
                 for m in np.flatnonzero(std):
-                    yield own[k][:, None] * works.of(
+                    yield identity[k][:, None] * works.of(
                         works.force, std[m] * np.tile(modes[..., m], (count, 1, 1))
                     )
 
@@ -286,22 +288,22 @@ def _judged(
     pairs: _Pairs,
     reasons: tuple[str, ...],
 ) -> Reciprocity:
-    """All pairs together, and every push against the others."""
-    one, other = pairs
+    """Test of all pairs together, and of every push against the others."""
+    first, other = pairs
     matrix = works.of(works.force, works.mean)
     errors = list(_changes(session, works, moving))
     columns = _differences(np.stack(errors), pairs)
     covariance = columns.T @ columns + _noise(works, pairs)
-    finest = _FINEST * np.maximum(np.abs(matrix[one, other]), np.abs(matrix[other, one]))
+    finest = _FINEST * np.maximum(np.abs(matrix[first, other]), np.abs(matrix[other, first]))
     covariance += np.diag(finest**2)
     names = [probing.name for probing in works.probings]
-    works_of = zip(matrix[one, other], matrix[other, one], np.diag(covariance), strict=True)
+    works_of = zip(matrix[first, other], matrix[other, first], np.diag(covariance), strict=True)
     judged = tuple(
         WorkPair(names[i], names[j], float(work), float(back), float(np.sqrt(variance)))
-        for i, j, (work, back, variance) in zip(one, other, works_of, strict=True)
+        for i, j, (work, back, variance) in zip(first, other, works_of, strict=True)
     )
     unknowns = list(_unknowns(session, works, moving))
-    known = np.eye(len(one))
+    known = np.eye(len(first))
     if unknowns:
         free = _differences(np.stack(unknowns), pairs)
         length = np.linalg.norm(free, axis=1, keepdims=True)
@@ -311,11 +313,11 @@ def _judged(
             *reasons, "With so few pushes the motion of the support takes up all that they tell."
         )
     inverse = np.linalg.inv(np.linalg.cholesky(known.T @ covariance @ known)) @ known.T
-    white = inverse @ (matrix[one, other] - matrix[other, one])
+    white = inverse @ (matrix[first, other] - matrix[other, first])
     chi_square, degrees = float(white @ white), len(white)
     pushes, growth = _excesses(session, works, pairs, inverse, white)
     chance = float(chdtrc(degrees, chi_square))
-    far = [abs(each.sigmas) for each in (*pushes, growth) if each is not None]
+    far = [abs(excess.sigmas) for excess in (*pushes, growth) if excess is not None]
     # By chance alone one of them is as far in this share of sound sessions.
     far_by_chance = 2.0 * len(far) * float(ndtr(-max(far, default=0.0)))
     holds = min(chance, far_by_chance if far else 1.0) > FALSE_ALARM
@@ -334,17 +336,17 @@ def _judged(
 
 def _differences(change: Float[np.ndarray, "e k k"], pairs: _Pairs) -> Float[np.ndarray, "e p"]:
     """Changes of the pairs' differences from those of the works."""
-    one, other = pairs
-    return np.asarray(change[:, one, other] - change[:, other, one])
+    first, other = pairs
+    return np.asarray(change[:, first, other] - change[:, other, first])
 
 
 def _noise(works: _Works, pairs: _Pairs) -> Float[np.ndarray, "p p"]:
     """Covariance of the pairs' differences from the noise of the displacements [J^2]."""
-    one, other = pairs
-    total = np.zeros((len(one), len(one)))
+    first, other = pairs
+    total = np.zeros((len(first), len(first)))
     for i in range(len(works.probings)):
-        sign = 1.0 * (one == i) - (other == i)
-        partner = np.where(one == i, other, one)
+        sign = 1.0 * (first == i) - (other == i)
+        partner = np.where(first == i, other, first)
         total += np.outer(sign, sign) * _own_noise(works, i)[np.ix_(partner, partner)]
     return total
 
@@ -363,7 +365,7 @@ def _excesses(
     inverse: Float[np.ndarray, "d p"],
     white: Float[np.ndarray, " d"],
 ) -> tuple[tuple[ForceExcess, ...], ForceExcess | None]:
-    """What each force is too large by, and the largest if excess grows in proportion."""
+    """Excess of each force, and of the largest one if excess grows in proportion to force."""
     # Symmetric, as the law has it: else differences by noise would look like forces too large.
     by_tool, sizes = works.of(works.tool, works.mean), works.sizes
     by_tool = 0.5 * (by_tool + by_tool.T)
@@ -374,11 +376,11 @@ def _excesses(
         if square == 0.0:
             return None
         value, excesses = float(along @ white) / square, 1.0 / square
-        own = float(np.sqrt(max(excesses - known**2, 0.0)))
+        std = float(np.sqrt(max(excesses - known**2, 0.0)))
         sigmas = value * float(np.sqrt(square))
         # Of the mean of both works, half of which is without the excess.
         shrunk = 1.0 - 0.5 * min(value, 1.0)
-        return ForceExcess(name, value / shrunk, own / shrunk**2, sigmas)
+        return ForceExcess(name, value / shrunk, std / shrunk**2, sigmas)
 
     excesses = []
     for k in np.unique(pairs):
@@ -389,23 +391,23 @@ def _excesses(
     share = sizes / max(float(sizes.max()), np.finfo(float).tiny)
     used = share[np.unique(pairs)]
     growth = excess("", by_tool * share, 0.0) if np.ptp(used) > _ALIKE else None
-    return tuple(each for each in excesses if each is not None), growth
+    return tuple(push for push in excesses if push is not None), growth
 
 
 def _suspects(
     pushes: Sequence[ForceExcess], growth: ForceExcess | None, chi_square: float, degrees: int
 ) -> tuple[tuple[str, ...], bool]:
-    """Pushes one of which has a wrong force, and whether motion out of proportion to the force may
-    be the cause instead; nothing where no such cause explains the pairs."""
+    """Pushes one of which may have a wrong force, and whether motion out of proportion to the force
+    may be the cause instead; none where no such cause explains the pairs."""
     every = [*pushes, *([growth] if growth is not None else [])]
-    fall = np.array([each.sigmas**2 for each in every])
+    fall = np.array([push.sigmas**2 for push in every])
     if degrees > 1 and chdtrc(degrees - 1, chi_square - fall.max()) < FALSE_ALARM:
         return (), False
     likely = np.exp(0.5 * (fall - fall.max()))
     order = np.argsort(-likely, kind="stable")
     count = 1 + int((np.cumsum(likely[order]) < (1.0 - _DOUBT) * likely.sum()).sum())
     chosen = [every[k] for k in order[:count]]
-    return tuple(each.name for each in chosen if each is not growth), growth in chosen
+    return tuple(push.name for push in chosen if push is not growth), growth in chosen
 
 
 def _own_work(
@@ -433,7 +435,7 @@ def _own_work(
     size, axes = np.linalg.eigh(0.5 * (matrix + matrix.T) * scale[:, None] * scale)
     mixture = np.zeros(count)
     mixture[rows] = scale * axes[:, 0]
-    variance = _FINEST**2 + sum(float(mixture @ each @ mixture) ** 2 for each in errors)
+    variance = _FINEST**2 + sum(float(mixture @ change @ mixture) ** 2 for change in errors)
     for k in rows.tolist():
         noise = _own_noise(works, k)
         if tip[k] > 0.0:

@@ -74,9 +74,11 @@ def write_held_out(folder: Path, predictions: Sequence[Prediction]) -> None:
         return
     below = folder / "held_out"
     below.mkdir()
-    stems = file_stems([each.name for each in predictions], kind="probing")
-    for stem, each in zip(stems, predictions, strict=True):
-        rows = np.hstack([each.position, each.measured, each.predicted, each.std])
+    stems = file_stems([prediction.name for prediction in predictions], kind="probing")
+    for stem, prediction in zip(stems, predictions, strict=True):
+        rows = np.hstack(
+            [prediction.position, prediction.measured, prediction.predicted, prediction.std]
+        )
         rows = rows[np.isfinite(rows).all(axis=1)]
         file = below / f"{stem}.csv"
         np.savetxt(file, rows, fmt="%.9g", delimiter=",", header=_HELD_OUT, comments="")
@@ -94,7 +96,7 @@ def write_modulus(path: Path, modulus: ModulusMap) -> None:
     ------
     OSError                         the file cannot be written
     """
-    content = {each.name: getattr(modulus, each.name) for each in fields(modulus)}
+    content = {field.name: getattr(modulus, field.name) for field in fields(modulus)}
     np.savez_compressed(path, format=np.array(MODULUS_FORMAT), **content)
 
 
@@ -110,7 +112,7 @@ def write_relaxation(path: Path, relaxation: RelaxationEstimate) -> None:
     ------
     OSError                         the file cannot be written
     """
-    rows = [(each.time, each.modulus.value, *each.modulus.ci95) for each in relaxation.curve]
+    rows = [(point.time, point.modulus.value, *point.modulus.ci95) for point in relaxation.curve]
     head = f"t [s],{relaxation.constant} [Pa],low [Pa],high [Pa]"
     np.savetxt(path, rows, fmt="%.9g", delimiter=",", header=head, comments="")
 
@@ -132,10 +134,10 @@ def read_modulus(path: Path) -> ModulusMap | None:
     """
     if not path.is_file():
         return None
-    with stored_arrays(path, _CURE, what=_WRONG) as kept:
-        if str(kept.pop("format")) != MODULUS_FORMAT:
+    with stored_arrays(path, _CURE, what=_WRONG) as arrays:
+        if str(arrays.pop("format")) != MODULUS_FORMAT:
             raise ValueError(f"format is not '{MODULUS_FORMAT}'")
-        return ModulusMap(**kept)
+        return ModulusMap(**arrays)
 
 
 def write_residuals(folder: Path, session: Session, result: FitResult) -> None:
@@ -378,10 +380,10 @@ class FittedProbing:
 
     def __post_init__(self) -> None:
         fix_fields(self, contact=(3,), force=(3,), points=(None, 3))
-        one = (len(self.points), 3)
+        shape = (len(self.points), 3)
         fix_fields(
-            self, nan_allowed=True, none_allowed=True, displacement=one, predicted=one,
-            left_out=one, sigma=one, weight=one,
+            self, nan_allowed=True, none_allowed=True, displacement=shape, predicted=shape,
+            left_out=shape, sigma=shape, weight=shape,
         )  # fmt: skip
         fix_fields(self, none_allowed=True, surface=(None, 3))
 
@@ -422,7 +424,7 @@ class FittedSurface:
                 raise InputError(f"{name} has numbers outside 0 to {count - 1}")
         if not self.probings:
             raise InputError("there is no probing; must be one or more")
-        shapes = (each.surface.shape for each in self.probings if each.surface is not None)
+        shapes = (probing.surface.shape for probing in self.probings if probing.surface is not None)
         if any(shape != self.vertices.shape for shape in shapes):
             raise InputError("surfaces of probings are those of another mesh")
 
@@ -443,7 +445,7 @@ def write_fitted_surface(folder: Path, session: Session, result: FitResult) -> N
     content: dict[str, Any] = {
         "format": np.array(SURFACE_FORMAT),
         "name": np.array(session.name),
-        "probings": np.array([one.name for one in result.probes], dtype=str),
+        "probings": np.array([probe.name for probe in result.probes], dtype=str),
         "vertices": session.mesh.vertices,
         "triangles": session.mesh.triangles.astype(np.int32),
         "held": session.held_triangles.astype(np.int32),
@@ -496,8 +498,8 @@ def read_fitted_surface(folder: Path) -> FittedSurface:
             f"{path}: is not there; was {folder} written by `palpate fit` of an earlier version?"
             f" {_CURE}"
         )
-    with stored_arrays(path, _CURE, what=_WRONG, max_bytes=_MOST_BYTES) as kept:
-        return _surface(kept)
+    with stored_arrays(path, _CURE, what=_WRONG, max_bytes=_MOST_BYTES) as arrays:
+        return _surface(arrays)
 
 
 def _polydata(points: Float[np.ndarray, "n 3"], arrays: Mapping[str, np.ndarray]) -> str:
@@ -540,23 +542,27 @@ def _data_array(name: str, values: np.ndarray) -> str:
     )
 
 
-def _surface(kept: dict[str, np.ndarray]) -> FittedSurface:
-    if str(kept["format"]) not in (SURFACE_FORMAT, _EARLIER_FORMAT):
-        raise ValueError(f"format is '{kept['format']}', not '{SURFACE_FORMAT}'")
+def _surface(arrays: dict[str, np.ndarray]) -> FittedSurface:
+    if str(arrays["format"]) not in (SURFACE_FORMAT, _EARLIER_FORMAT):
+        raise ValueError(f"format is '{arrays['format']}', not '{SURFACE_FORMAT}'")
     probings = [
         _probing(
             str(name),
-            {key[len(f"{number}/") :]: kept[key] for key in kept if key.startswith(f"{number}/")},
+            {
+                key[len(f"{number}/") :]: arrays[key]
+                for key in arrays
+                if key.startswith(f"{number}/")
+            },
         )
-        for number, name in enumerate(kept["probings"], start=1)
-        if f"{number}/points" in kept
+        for number, name in enumerate(arrays["probings"], start=1)
+        if f"{number}/points" in arrays
     ]
     likelihood = LikelihoodMap(
-        *(kept[f"likelihood/{key}"] for key in ("poisson_ratio", "shear_modulus", "deviance"))
+        *(arrays[f"likelihood/{key}"] for key in ("poisson_ratio", "shear_modulus", "deviance"))
     )
     return FittedSurface(
-        str(kept["name"]), kept["vertices"], kept["triangles"], kept["held"], tuple(probings),
-        likelihood,
+        str(arrays["name"]), arrays["vertices"], arrays["triangles"], arrays["held"],
+        tuple(probings), likelihood,
     )  # fmt: skip
 
 

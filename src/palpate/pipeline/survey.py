@@ -385,12 +385,14 @@ def survey_cameras(session: Session) -> tuple[tuple[CameraSurvey, ...], tuple[st
     instants = _instants(session)
     survey = partial(_survey_instant, session, rig)
     surveyed = list(map_in_threads(survey, instants, instants.values()))
-    pictures = [each for each, _ in surveyed]
+    pictures = [instant for instant, _ in surveyed]
     remarks = [text for _, notes in surveyed for text in notes]
     _check_copies(session, rig, instants, pictures)
     surveys = tuple(
         CameraSurvey(
-            camera.name, _visible_fraction(session, rig, k), tuple(each[k] for each in pictures)
+            camera.name,
+            _visible_fraction(session, rig, k),
+            tuple(instant[k] for instant in pictures),
         )
         for k, camera in enumerate(rig.cameras)
     )
@@ -548,8 +550,8 @@ def _check_copies(
     """Refuse identical pictures, unless both show the object at rest from the same camera."""
     at_rest = {probing.images.rest for probing in session.probings if probing.images}
     first: dict[bytes, tuple[str, str]] = {}
-    for (pattern, whose), each in zip(instants.items(), pictures, strict=True):
-        for camera, picture in zip(rig.cameras, each, strict=True):
+    for (pattern, whose), cameras in zip(instants.items(), pictures, strict=True):
+        for camera, picture in zip(rig.cameras, cameras, strict=True):
             file = pattern.replace("{camera}", camera.name)
             twin, name = first.setdefault(picture.digest, (pattern, camera.name))
             if twin == pattern and name == camera.name:

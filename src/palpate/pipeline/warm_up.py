@@ -103,11 +103,11 @@ def _picture(camera: Camera, depth: float) -> NDArray[np.uint8]:
     height = np.full(_SHAPE, _SIZE[2])
     # Where a ray arrives depends on the height there, but hardly: the dip is flat.
     for _ in range(4):
-        place = centre + rays * ((height - centre[2]) / rays[..., 2])[..., None]
-        height = _SIZE[2] - depth * _dip(place)
+        position = centre + rays * ((height - centre[2]) / rays[..., 2])[..., None]
+        height = _SIZE[2] - depth * _dip(position)
     rng = np.random.default_rng(0)
     waves, phases = rng.normal(0.0, _WAVE_NUMBER, (2, _WAVES)), rng.uniform(0, 2 * np.pi, _WAVES)
-    texture = 120 + 5 * np.cos(place[..., :2] @ waves + phases).sum(axis=-1)
+    texture = 120 + 5 * np.cos(position[..., :2] @ waves + phases).sum(axis=-1)
     return texture.clip(0, 255).astype(np.uint8)
 
 

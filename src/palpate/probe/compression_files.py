@@ -255,7 +255,7 @@ def _compression_positive(values: PointScalars, what: str, notes: list[str]) -> 
 
 
 def _check_times(table: TextTable) -> None:
-    """Refuse rows that are not in the order of time, where a column of numbers tells the time."""
+    """Refuse rows that are not in the order of time, where there is a column of times."""
     for column in table.columns:
         if not column.heading.lower().startswith(_TIME):
             continue

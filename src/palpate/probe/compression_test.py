@@ -182,7 +182,7 @@ def compression_series(
     names = [str(k) for k in range(len(results))] if specimens is None else specimens
     for name, result in zip(names, results, strict=True):
         tests.setdefault(name, []).append(result.young_modulus)
-    values = np.array([np.mean(each) for each in tests.values()])
+    values = np.array([np.mean(moduli) for moduli in tests.values()])
     mean = float(values.mean())
     if len(values) == 1:
         half = max(result.ci95[1] - result.young_modulus for result in results)
@@ -333,8 +333,8 @@ def _inside(
     later = int(((strain[end:] >= low) & (strain[end:] < high)).sum())
     strain, stress = strain[:end], stress[:end]
     _refuse_return(strain, high, height, where)
-    kept = (strain >= low - 1e-12) & (strain <= high * (1 + 1e-9))
-    if kept.sum() < MIN_READINGS:
+    within = (strain >= low - 1e-12) & (strain <= high * (1 + 1e-9))
+    if within.sum() < MIN_READINGS:
         cure = "widen the range or sample faster"
         if later:
             cure = (
@@ -342,10 +342,10 @@ def _inside(
                 " rows in the order of time"
             )
         raise InputError(
-            f"{where}only {kept.sum()} readings lie in the strain range {low:g} to {high:g}; "
+            f"{where}only {within.sum()} readings lie in the strain range {low:g} to {high:g}; "
             f"at least {MIN_READINGS} are needed: {cure}"
         )
-    return strain[kept], stress[kept]
+    return strain[within], stress[within]
 
 
 def _refuse_impossible(
@@ -367,7 +367,7 @@ def _refuse_impossible(
 
 
 def _check_slope(slope: float, where: str) -> None:
-    """Refuse a force that does not rise, and a modulus that nothing has."""
+    """Refuse a force that does not rise, and a modulus that no material has."""
     if not slope > 0:
         raise InputError(
             f"{where}the force does not rise while the cylinder is pressed (slope {slope:.4g} Pa); "

@@ -63,7 +63,7 @@ _MIN_VERTICES = 7
 _MAX_RADIUS_RATIO = 0.98
 # Gauss points and weights on [0, 1], and degree of the interpolant of g: exact to 1e-6 up to
 # circles of 0.98 radii of a sphere.
-_POINTS, _WEIGHTS = (0.5 * (each + k) for each, k in zip(leggauss(32), (1.0, 0.0), strict=True))
+_POINTS, _WEIGHTS = (0.5 * (values + k) for values, k in zip(leggauss(32), (1.0, 0.0), strict=True))
 _DEGREE = 40
 # Relative change of the circle at which its outward traction has converged; most rounds.
 _CONVERGED, _MOST_ROUNDS = 1e-6, 40
@@ -243,11 +243,11 @@ def _on_circle(
     for _ in range(_MOST_ROUNDS):
 
         def slope(r: Distances, circle: float, pressure: ToolTraction = traction) -> Distances:
-            own = tool.slope(r)
+            own_slope = tool.slope(r)
             # At a tip what is pulled has no bound, and rounds would not settle.
             near = np.maximum(r / circle, _TIP)
             pulled = pressure.mean(near) if tool.friction != STICKS else 0.0
-            return own * (1.0 + raised * pulled) + curvature * r
+            return own_slope * (1.0 + raised * pulled) + curvature * r
 
         previous, radius = radius, largest
         spare = load - _load_on(slope, largest)
@@ -391,21 +391,21 @@ def _no_slip_lever(poisson_ratio: float) -> float:
 
 def _outward(
     tool: ShapedTool,
-    place: tuple[Grid, Grid],
+    position: tuple[Grid, Grid],
     slopes: Float[np.ndarray, "2 n n"],
     pressure: Grid,
     radius: float,
     poisson_ratio: float,
 ) -> Grid:
     """Traction away from the centre on a grid."""
-    distance = np.hypot(*place)
+    distance = np.hypot(*position)
     if tool.friction == STICKS:
         # Its integral is right; where it acts is not known, but that it vanishes at the centre.
         size = _MEAN_CIRCLE * _no_slip_lever(poisson_ratio) / (0.4 * radius)
         return np.asarray(size * pressure * distance)
     # The mean slope is that of a tool that leans: its part along the surface is in the force.
     along, across = (slope - np.average(slope, weights=pressure) for slope in slopes)
-    return np.asarray(pressure * (place[0] * along + place[1] * across) / distance)
+    return np.asarray(pressure * (position[0] * along + position[1] * across) / distance)
 
 
 def _centres() -> Float[np.ndarray, " n"]:

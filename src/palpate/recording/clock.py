@@ -347,8 +347,9 @@ def synchronise_cameras(
     count = len(recording.footage)
 
     def process(k: int) -> Camera:
-        footage, report = recording.footage[k], part_of(progress, k / count, (k + 1) / count)
-        motion = camera_motion(footage, progress=part_of(report, 0.0, 0.5))
+        footage = recording.footage[k]
+        camera_progress = part_of(progress, k / count, (k + 1) / count)
+        motion = camera_motion(footage, progress=part_of(camera_progress, 0.0, 0.5))
         return motion, _clock(footage, motion, force, touches, plateau_spans)
 
     return list(map_in_threads(process, range(count)))

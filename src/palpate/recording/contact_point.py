@@ -135,26 +135,26 @@ def find_contact(
             f"only {len(points)} points of the surface could be followed: the contact cannot be"
             " found; give `points` or `poses` in [contact]"
         )
-    pressed = _pressed_part(model.mesh, force)
-    guess = _first_guess(pressed, points, displacement, force)
-    place = closest_points(model.mesh, points)
+    part = _pressed_part(model.mesh, force)
+    guess = _first_guess(part, points, displacement, force)
+    closest = closest_points(model.mesh, points)
     nodes = model.system.surface.displacement
-    at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
+    at_points = interpolation_matrix(nodes, closest.triangle, closest.barycentric)
     press = _MeasuredPress(force, radius, profile, points, displacement, at_points)
     for step in _STEPS:
         for _ in range(_MAX_MOVES):
-            ring, tangents = _ring(pressed, guess, step * radius)
+            ring, tangents = _ring(part, guess, step * radius)
             residuals = _unexplained(model, press, ring)
             best = int(residuals.argmin())
             if best == 0:
                 break
             guess = ring[best]
     shift, half_hessian = _paraboloid_minimum(step * radius * _HEXAGON, residuals)
-    position = closest_points(pressed, (guess + shift @ tangents)[None])
-    explained = 1.0 - float(residuals.min()) / float(_sum_of_squares(press, guess))
-    if explained < _MIN_EXPLAINED:
+    position = closest_points(part, (guess + shift @ tangents)[None])
+    share = 1.0 - float(residuals.min()) / float(_sum_of_squares(press, guess))
+    if share < _MIN_EXPLAINED:
         raise RecordError(
-            f"no place of the surface explains how it moved (the best one {100 * explained:.0f} %):"
+            f"no place of the surface explains how it moved (the best one {100 * share:.0f} %):"
             " the contact cannot be found; give `points` or `poses` in [contact]"
         )
     # Errors of neighbouring points are correlated: the effective number of independent points is
@@ -162,7 +162,7 @@ def find_contact(
     span = np.ptp((points - guess) @ tangents.T, axis=0)
     count = float(np.clip(span.prod() / (np.pi * radius**2), 8.0, len(points)))
     variance = float(residuals.min()) / count * np.linalg.inv(half_hessian)
-    return position.position[0], float(np.sqrt(variance.trace() / 2.0)), explained
+    return position.position[0], float(np.sqrt(variance.trace() / 2.0)), share
 
 
 def _pressed_part(mesh: TriangleMesh, force: Vector3) -> TriangleMesh:
@@ -189,8 +189,8 @@ def _ring(
     mesh: TriangleMesh, centre: Vector3, size: float
 ) -> tuple[Points, Float[np.ndarray, "2 3"]]:
     """A surface point and six around it, and two unit tangents there."""
-    place = closest_points(mesh, centre[None])
-    tangents = tangents_of(unit_normals(mesh)[place.triangle[0]])
+    closest = closest_points(mesh, centre[None])
+    tangents = tangents_of(unit_normals(mesh)[closest.triangle[0]])
     return closest_points(mesh, centre + size * _HEXAGON @ tangents).position, tangents
 
 
@@ -228,18 +228,18 @@ def _unexplained(
     return best
 
 
-def _load(model: ContactModel, press: _MeasuredPress, place: Vector3) -> SurfaceLoad:
-    contact = Contact(place, press.radius, press.profile)
+def _load(model: ContactModel, press: _MeasuredPress, point: Vector3) -> SurfaceLoad:
+    contact = Contact(point, press.radius, press.profile)
     patch = find_contact_patch(model.mesh, contact, model.held, name="searched")
     disc = PressureDisc(contact.point, press.radius, contact.pressure)
     return SurfaceLoad(patch.triangles, patch.density, disc)
 
 
 def _paraboloid_minimum(
-    place: Float[np.ndarray, "k 2"], value: Float[np.ndarray, " k"]
+    offsets: Float[np.ndarray, "k 2"], value: Float[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 2"]]:
     """Minimum of a fitted paraboloid, limited to the fitted region, and half its Hessian."""
-    x, y = place.T
+    x, y = offsets.T
     matrix = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
     _, bx, by, cxx, cxy, cyy = np.linalg.lstsq(matrix, value, rcond=None)[0]
     half_hessian = np.array([[cxx, 0.5 * cxy], [0.5 * cxy, cyy]])
@@ -249,5 +249,5 @@ def _paraboloid_minimum(
             " found; give `points` or `poses` in [contact]"
         )
     shift = -0.5 * np.linalg.solve(half_hessian, np.array([bx, by]))
-    reach = np.linalg.norm(place, axis=1).max()
+    reach = np.linalg.norm(offsets, axis=1).max()
     return shift * min(1.0, reach / max(float(np.linalg.norm(shift)), 1e-300)), half_hessian

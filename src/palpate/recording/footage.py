@@ -371,32 +371,32 @@ def camera_ramps(footage: Footage, presses: Sequence[RampTimes]) -> list[Signal 
     RecordError                     as in `read_frames`
     """
     ramps: list[Signal | None] = []
-    kept: list[tuple[float, np.ndarray]] = []
+    frames: list[tuple[float, np.ndarray]] = []
     waiting = list(presses)
     for _, time, grey in read_frames(footage):
         while waiting and time > waiting[0].end + MARGIN:
-            ramps.append(_ramp(waiting.pop(0), kept))
-            kept = []
+            ramps.append(_ramp(waiting.pop(0), frames))
+            frames = []
         if waiting and waiting[0].shows(time):
-            kept = _thinned(kept)
-            kept.append((time, _downsampled(grey)))
+            frames = _thinned(frames)
+            frames.append((time, _downsampled(grey)))
     for press in waiting:
-        ramps.append(_ramp(press, kept))
-        kept = []
+        ramps.append(_ramp(press, frames))
+        frames = []
     return ramps
 
 
-def _thinned(kept: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
+def _thinned(frames: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
     """The frames, reduced to every second one once there are too many."""
-    return kept[::2] if len(kept) >= _MAX_FRAMES else kept
+    return frames[::2] if len(frames) >= _MAX_FRAMES else frames
 
 
-def _ramp(press: RampTimes, kept: list[tuple[float, np.ndarray]]) -> Signal | None:
+def _ramp(press: RampTimes, frames: list[tuple[float, np.ndarray]]) -> Signal | None:
     """Projection of each frame's change on the change from first contact to full load."""
-    if len(kept) < 8:
+    if len(frames) < 8:
         return None
-    time = np.array([when for when, _ in kept])
-    pictures = np.stack([picture.ravel() for _, picture in kept])
+    time = np.array([when for when, _ in frames])
+    pictures = np.stack([picture.ravel() for _, picture in frames])
     resting = (time >= press.plateau_begin) & (time <= press.plateau_end)
     if not resting.any():
         return None

@@ -328,8 +328,8 @@ def _contact(survey: FolderSurvey, outline: Outline) -> str:
         poses = survey.poses[0] if survey.poses else "poses.csv"
         what = "time, x, y, z of the tip, in the mesh's frame"
         return text + _line(f"poses = {_quoted(poses)}", what, fill=not survey.poses)
-    place = 0.04 / FILE_LENGTH_UNITS[outline.unit]
-    return text + _line(f"# points = [[0, 0, {place:g}]]", "one a press; else they are found")
+    example = 0.04 / FILE_LENGTH_UNITS[outline.unit]
+    return text + _line(f"# points = [[0, 0, {example:g}]]", "one a press; else they are found")
 
 
 def _pictured_probes(survey: FolderSurvey, outline: Outline) -> list[str]:
@@ -594,5 +594,5 @@ def chosen_side(sides: tuple[Side, ...], name: str | None) -> Side | None:
     for side in sides:
         if side.name == name:
             return side
-    there = ", ".join(side.name for side in sides) or "none"
-    raise InputError(f"the object has no flat side at {name}; it has: {there}")
+    names = ", ".join(side.name for side in sides) or "none"
+    raise InputError(f"the object has no flat side at {name}; it has: {names}")

@@ -131,18 +131,18 @@ def read_pokes(table: PokeTable, tool: Tool) -> Pokes:
     ]
     noise = _noise(curves, power)
     pokes = [
-        (each, reading)
-        for each in curves
-        if _has_contact(each, noise) and (reading := _reading(each, noise, power))
+        (curve, reading)
+        for curve in curves
+        if _has_contact(curve, noise) and (reading := _reading(curve, noise, power))
     ]
-    clear = [each for each, _ in pokes]
+    clear = [curve for curve, _ in pokes]
     if len(clear) < _FEWEST:
         raise InputError(
             f"{len(clear)} of {len(curves)} pokes have contact; {_FEWEST} must. In any others"
             f" the force stays within {_CLEAR:g} times its noise of {noise:.2g} N, or does not rise"
             " with the depth; check which column is the force, its unit, and how deep the tool went"
         )
-    deepest = float(np.median([each.depth.max() - each.start for each in clear]))
+    deepest = float(np.median([curve.depth.max() - curve.start for curve in clear]))
     if not tool.is_flat and deepest > tool.radius:
         raise InputError(
             f"the pokes are {1e3 * deepest:.3g} mm deep, deeper than the ball's radius of"
@@ -150,18 +150,18 @@ def read_pokes(table: PokeTable, tool: Tool) -> Pokes:
             " --length-unit, or leave the deeper samples out"
         )
     force, depth, std = np.array([reading for _, reading in pokes]).T
-    kept = {each.number for each in clear}
-    used = sum(len(each.depth) for each in curves)
+    clear_numbers = {curve.number for curve in clear}
+    used = sum(len(curve.depth) for curve in curves)
     return Pokes(
-        np.array([each.number for each in clear]),
-        np.stack([each.origin - each.start * each.normal for each in clear]),
-        np.stack([each.normal for each in clear]),
+        np.array([curve.number for curve in clear]),
+        np.stack([curve.origin - curve.start * curve.normal for curve in clear]),
+        np.stack([curve.normal for curve in clear]),
         force,
         depth,
         std,
-        sum(len(each.depth) for each in clear),
+        sum(len(curve.depth) for curve in clear),
         len(table.position) - used,
-        tuple(each.number for each in curves if each.number not in kept),
+        tuple(curve.number for curve in curves if curve.number not in clear_numbers),
         noise,
     )
 
@@ -245,11 +245,11 @@ def _noise(curves: list[_Curve], power: float) -> float:
     """Standard deviation of a force about its curve [N]: the median over the pokes. Besides the
     stiffness, the start of contact and what gives in proportion to the force are free."""
     square = []
-    for each in curves:
-        touching = each.fitted > 0.0
+    for curve in curves:
+        touching = curve.fitted > 0.0
         if touching.sum() < _FEWEST:
             continue
-        depth, force = each.depth[touching] - each.start, each.force[touching]
+        depth, force = curve.depth[touching] - curve.start, curve.force[touching]
         powers = (power, power - 1.0, 2.0 * power - 1.0)[: len(depth) - 1]
         terms = np.stack([depth**k for k in powers], axis=1)
         solution, _, rank, _ = np.linalg.lstsq(terms, force, rcond=1e-10)
@@ -317,14 +317,14 @@ def height_field(pokes: Pokes, *, thickness: float, margin: float) -> TriangleMe
         raise InputError("all pokes are on a line: give the width beside it (--margin)")
     count = np.ceil(_CELLS * (high - low) / (high - low).min()).astype(int) + 1
     x, y = (np.linspace(*ends) for ends in zip(low, high, count, strict=True))
-    place = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    node = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     nearest = min(_NEIGHBOURS, len(pokes.point))
     # About as rough as its points are uncertain; far from all of them it is level.
     surface = RBFInterpolator(
         pokes.point[:, :2], pokes.point[:, 2], neighbors=nearest, kernel="linear", smoothing=1e-3,
         degree=0,
     )  # fmt: skip
-    top = surface(place)
+    top = surface(node)
     base = float(pokes.point[:, 2].mean()) - thickness
     if not (top > base + 0.1 * thickness).all():
         raise InputError(
@@ -332,29 +332,29 @@ def height_field(pokes: Pokes, *, thickness: float, margin: float) -> TriangleMe
             f" {1e3 * thickness:.3g} mm below its mean: check --thickness and the normals, or give"
             " a mesh (--surface)"
         )
-    return _closed(place, top, base, (int(count[0]), int(count[1])))
+    return _closed(node, top, base, (int(count[0]), int(count[1])))
 
 
 def _closed(
-    place: Float[np.ndarray, "n 2"],
+    node: Float[np.ndarray, "n 2"],
     top: Float[np.ndarray, " n"],
     base: float,
     shape: tuple[int, int],
 ) -> TriangleMesh:
     """A grid of heights, its base and the walls between."""
-    number = np.arange(len(place)).reshape(shape)
+    number = np.arange(len(node)).reshape(shape)
     a, b, c, d = (
         part.ravel()
         for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
     )
     upper = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
-    after, count = np.roll(rim, -1), len(place)
+    after, count = np.roll(rim, -1), len(node)
     walls = np.concatenate(
         [np.stack([rim, rim + count, after], 1), np.stack([after, rim + count, after + count], 1)]
     )
     vertices = np.concatenate(
-        [np.column_stack([place, top]), np.column_stack([place, np.full(count, base)])]
+        [np.column_stack([node, top]), np.column_stack([node, np.full(count, base)])]
     )
     return TriangleMesh(vertices, np.concatenate([upper, upper[:, ::-1] + count, walls]))
 
@@ -409,13 +409,13 @@ def write_pokes(folder: Path, pokes: Pokes, mesh: TriangleMesh, tool: Tool, name
     content["probe"] = [
         {
             "name": f"p{number:03d}",
-            "contact": {"point": place.tolist(), **shape},
+            "contact": {"point": point.tolist(), **shape},
             "force": (-force * normal).tolist(),
             "force_std": 0.0,
             "tip_displacement": (-depth * normal).tolist(),
             "tip_displacement_std": std,
         }
-        for number, place, normal, force, depth, std in zip(
+        for number, point, normal, force, depth, std in zip(
             pokes.number.tolist(), near.position, pokes.normal, pokes.force.tolist(),
             pokes.depth.tolist(), pokes.depth_std.tolist(), strict=True,
         )

@@ -244,14 +244,14 @@ def write_recorded(
         shutil.copyfile(file, folder / file.name)
     (folder / _PICTURES).mkdir()
     frames = _write_pictures(folder / _PICTURES, recording, recorded, part_of(progress, 0.0, 0.6))
-    report = part_of(progress, 0.6, 1.0)
+    stage_progress = part_of(progress, 0.6, 1.0)
     model: ContactModel | None = None
     if recording.contact_source.points is None and recording.contact_source.poses is None:
-        report("model of the object", 0.0)
+        stage_progress("model of the object", 0.0)
         model = make_contact_model(recording.mesh, recording.held)
     placed = []
     for k, press in enumerate(recorded.presses):
-        report(f"contact of {press.name}", k / len(recorded.presses))
+        stage_progress(f"contact of {press.name}", k / len(recorded.presses))
         frame_count = frames[_LOADED.format(name=press.name)]
         placed.append(_place_press(folder, recording, press, model, frame_count, recorded))
         if placed[-1].series:
@@ -284,8 +284,9 @@ def _write_pictures(
             for name, (begin, end) in ((_REST, press.rest), (_LOADED, span)):
                 span = begin - clock.offset, end - clock.offset
                 moments[name.format(name=press.name)] = span
-        report = part_of(progress, k / count, (k + 1) / count)
-        for name, number in write_moments(folder, footage, moments, progress=report).items():
+        camera_progress = part_of(progress, k / count, (k + 1) / count)
+        written = write_moments(folder, footage, moments, progress=camera_progress)
+        for name, number in written.items():
             frames[name] = min(number, frames.get(name, number))
     return frames
 
@@ -305,8 +306,8 @@ def _place_press(
         series = _series(recorded, poses, press, point, unit)
     elif model is not None:
         point, std = _contact_from_motion(folder, recording, press, model)
-    place = closest_points(recording.mesh, point[None])
-    normal = unit_normals(recording.mesh)[place.triangle[0]]
+    closest = closest_points(recording.mesh, point[None])
+    normal = unit_normals(recording.mesh)[closest.triangle[0]]
     if press.reading.force @ normal > 0.0:
         raise RecordError(
             f"{recording.path}: the force of press {press.number},"

@@ -74,16 +74,16 @@ class ToolTraction:
     @property
     def spread(self) -> float:
         """Root mean square distance of the pressure from the axis, in contact radii."""
-        pressed = self.pressure * SPREAD
-        square = np.trapezoid(pressed * SPREAD**2, _ANGLE) / np.trapezoid(pressed, _ANGLE)
+        weight = self.pressure * SPREAD
+        square = np.trapezoid(weight * SPREAD**2, _ANGLE) / np.trapezoid(weight, _ANGLE)
         return float(self.reach * np.sqrt(square))
 
     @property
     def lever(self) -> float:
         """Integral of the outward traction times the distance from the axis, over the reach and
         over the integral of the pressure [-]."""
-        pulled, pressed = self.outward * SPREAD**2, self.pressure * SPREAD
-        return float(np.trapezoid(pulled, _ANGLE) / np.trapezoid(pressed, _ANGLE))
+        pulled, weight = self.outward * SPREAD**2, self.pressure * SPREAD
+        return float(np.trapezoid(pulled, _ANGLE) / np.trapezoid(weight, _ANGLE))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,15 +138,15 @@ def grid_traction(
     turn = 2.0 * np.pi * np.arange(_TURNS) / _TURNS
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1) * reach / half_side
     places = (SPREAD[:, None, None] * around).reshape(-1, 2)
-    means = np.stack([_interpolated(each, places) for each in (pressure, outward)])
+    means = np.stack([_interpolated(values, places) for values in (pressure, outward)])
     means = means.reshape(2, -1, _TURNS).mean(axis=2) * np.cos(_ANGLE)
     table = np.clip(means, 0.0, None)
     return GridTraction(table[0], table[1], reach, axes=axes, half_side=half_side, grid=pressure)
 
 
-def _interpolated(grid: Float[np.ndarray, "g g"], place: Float[np.ndarray, "p 2"]) -> PointScalars:
+def _interpolated(grid: Float[np.ndarray, "g g"], point: Float[np.ndarray, "p 2"]) -> PointScalars:
     """Values of a grid at places, over half its side from its middle; 0 outside."""
-    cell = 0.5 * (place + 1.0) * len(grid) - 0.5
+    cell = 0.5 * (point + 1.0) * len(grid) - 0.5
     return np.asarray(map_coordinates(grid, cell.T, order=1, mode="grid-constant"))
 
 

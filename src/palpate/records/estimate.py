@@ -355,10 +355,10 @@ class RegionEstimate:
 
     @property
     def without_interval(self) -> "RegionEstimate":
-        """The same of a model that does not fit, which has no intervals."""
+        """The estimate without intervals, as of a model that does not fit."""
         ratio, shear, young = (
-            Constant(each.value, math.nan, (math.nan, math.nan))
-            for each in (self.ratio, self.shear_modulus, self.young_modulus)
+            Constant(constant.value, math.nan, (math.nan, math.nan))
+            for constant in (self.ratio, self.shear_modulus, self.young_modulus)
         )
         return replace(self, ratio=ratio, shear_modulus=shear, young_modulus=young)
 
@@ -442,12 +442,12 @@ class RelaxationEstimate:
         if self.constant not in ("shear_modulus", "young_modulus"):
             raise InputError(f"constant is {self.constant!r}; must be shear_modulus, young_modulus")
         positive = [self.age, self.rise, self.hold, self.unrelaxed]
-        positive += [each.time.value for each in self.terms]
-        positive += [number for each in self.curve for number in (each.time, each.modulus.value)]
-        shares = [each.share for each in self.terms]
+        positive += [term.time.value for term in self.terms]
+        positive += [number for point in self.curve for number in (point.time, point.modulus.value)]
+        shares = [term.share for term in self.terms]
         if not (
-            all(0.0 < each < math.inf for each in positive)
-            and all(each >= 0.0 for each in shares)
+            all(0.0 < value < math.inf for value in positive)
+            and all(share >= 0.0 for share in shares)
             and sum(shares) < 1.0
         ):
             raise InputError(

@@ -72,18 +72,18 @@ class StiffPart:
         """For a reader, without full stop: a smooth field rounds edges, so a small part differs by
         more than its interval says."""
         least, word = (self.low, "stiff") if self.ratio >= 1.0 else (1.0 / self.high, "soft")
-        place = ", ".join(str(round(1e3 * x)) for x in self.centre)
+        centre = ", ".join(str(round(1e3 * x)) for x in self.centre)
         if self.place_std is not None:
             ratio, most = self.ratio, self.high
             if self.ratio < 1.0:
                 ratio, most = 1.0 / self.ratio, 1.0 / self.low
-            ratio, most = (float(f"{each:.2g}") for each in (ratio, most))
+            ratio, most = (float(f"{value:.2g}") for value in (ratio, most))
             return (
-                f"a round part near ({place}) mm (+- {1e3 * self.place_std:.1f}) is {least:.2g} to"
+                f"a round part near ({centre}) mm (+- {1e3 * self.place_std:.1f}) is {least:.2g} to"
                 f" {most:g} times as {word} as the rest; at {ratio:g} times it is about"
                 f" {1e3 * self.size:.0f} mm across, and larger if it differs less"
             )
-        what = f"a part about {1e3 * self.size:.0f} mm across near ({place}) mm"
+        what = f"a part about {1e3 * self.size:.0f} mm across near ({centre}) mm"
         if self.depth:
             what = f"the outermost {1e3 * self.depth:.2g} mm or so"
         return f"{what} is at least {least:.2g} times as {word} as the rest"
@@ -127,13 +127,13 @@ class FieldEstimate:
     @property
     def sentences(self) -> tuple[str, ...]:
         """For a reader, without full stops."""
-        what, of = "a field of moduli", "means over the body"
+        what, reference = "a field of moduli", "means over the body"
         if self.is_of_parts:
-            what, of = "round parts of another modulus", "those of the rest"
+            what, reference = "round parts of another modulus", "those of the rest"
         verdict = (
             "the modulus is not the same everywhere: the data are exp"
             f"({self.log_evidence:.0f}) times as likely with {what} as with one, and the"
-            f" constants are {of}"
+            f" constants are {reference}"
         )
         return (verdict, *(part.sentence for part in self.parts))
 
@@ -195,19 +195,19 @@ class ModulusMap:
         rows = np.arange(len(points))
         return np.where(least[rows, best] > _OUTSIDE, near[rows, best], -1)
 
-    def boundary(self, kept: Bool[np.ndarray, " m"]) -> tuple[TriangleMesh, Indices]:
+    def boundary(self, selected: Bool[np.ndarray, " m"]) -> tuple[TriangleMesh, Indices]:
         """Surface of some of the elements.
 
         Parameters
         ----------
-        kept : (m,) bool
+        selected : (m,) bool
 
         Returns
         -------
         TriangleMesh                of all nodes
         (f,) int                    element of every triangle
         """
-        chosen = np.flatnonzero(kept)
+        chosen = np.flatnonzero(selected)
         faces = self.tetrahedra[chosen][:, _FACES].reshape(-1, 3)
         outer = np.flatnonzero(is_outer(faces))
         element = chosen[outer // len(_FACES)]
@@ -223,7 +223,7 @@ class ModulusMap:
         return float(np.exp(self.log_modulus[order][np.searchsorted(share, 0.5 * share[-1])]))
 
     def isosurface(self, ratio: float) -> TriangleMesh | None:
-        """Where the modulus passes a value, as far as the data tell it.
+        """Surface on which the modulus has a given value, where the data determine it.
 
         Parameters
         ----------
@@ -257,7 +257,7 @@ class ModulusMap:
         )
         count = (height[corners] > 0.0).sum(axis=1)
         edges = np.concatenate(
-            [corners[count == above][:, which].reshape(-1, 3, 2) for above, which in _CROSSED]
+            [corners[count == above][:, columns].reshape(-1, 3, 2) for above, columns in _CROSSED]
         )
         if not len(edges):
             return None

@@ -72,8 +72,8 @@ class PointCorrelation:
         number = np.full(count, -1)
         number[rows] = np.arange(len(rows))
         pair = number[self.pair]
-        kept = (pair >= 0).all(axis=1)
-        return PointCorrelation(np.sort(pair[kept], axis=1), self.value[kept])
+        complete = (pair >= 0).all(axis=1)
+        return PointCorrelation(np.sort(pair[complete], axis=1), self.value[complete])
 
 
 INDEPENDENT = PointCorrelation(np.zeros((0, 2), dtype=np.int64), np.zeros(0))
@@ -422,7 +422,7 @@ class Probing:
 
 
 def check_rotation(
-    points: Float[np.ndarray, "n 3"], displacement: Float[np.ndarray, "n 3"], place: str
+    points: Float[np.ndarray, "n 3"], displacement: Float[np.ndarray, "n 3"], source: str
 ) -> None:
     """Refuse displacements that are mostly a large rigid rotation.
 
@@ -430,7 +430,7 @@ def check_rotation(
     ----------
     points : (n, 3) float [m]           at rest
     displacement : (n, 3) float [m]     of each
-    place : str                         file or pictures they come from, for the message
+    source : str                        file or pictures they come from, for the message
 
     Raises
     ------
@@ -439,7 +439,7 @@ def check_rotation(
     angle = rigid_rotation_angle(points, displacement)
     if angle > _LARGEST_ROTATION:
         raise InputError(
-            f"{place}: the measured points turned by {np.degrees(angle):.0f} degrees as a whole"
+            f"{source}: the measured points turned by {np.degrees(angle):.0f} degrees as a whole"
             " between rest and load; displacements must be small, turns"
             f" {np.degrees(_LARGEST_ROTATION):.0f} degrees at most: did the object or the cameras"
             " move in between? Bring the loaded points back onto the resting ones by what did not"

@@ -198,8 +198,8 @@ def region_row(region: RegionEstimate) -> tuple[str, str, str, str, str]:
         what = NOT_DETERMINED if region.is_seen else "not seen"
         return region.name, what, what, f"({interval})", f"({interval_text(region.ratio)})"
     shear, young = (
-        f"{constant_text(each, factor=factor)} {unit}"
-        for each in (region.shear_modulus, region.young_modulus)
+        f"{constant_text(modulus, factor=factor)} {unit}"
+        for modulus in (region.shear_modulus, region.young_modulus)
     )
     return region.name, shear, young, interval, interval_text(region.ratio)
 
@@ -219,10 +219,10 @@ def relaxation_rows(relaxation: RelaxationEstimate) -> list[tuple[str, str, str,
     factor, unit = modulus_unit(relaxation.unrelaxed)
     rows = []
 
-    def add(label: str, one: Constant | None, factor: float, unit: str) -> None:
+    def add(label: str, constant: Constant | None, factor: float, unit: str) -> None:
         texts = (NOT_DETERMINED, "-")
-        if one is not None:
-            texts = constant_text(one, factor=factor), interval_text(one, factor=factor)
+        if constant is not None:
+            texts = constant_text(constant, factor=factor), interval_text(constant, factor=factor)
         rows.append((label, *texts, unit))
 
     add(f"{symbol} at once", relaxation.instantaneous, factor, unit)
@@ -230,8 +230,8 @@ def relaxation_rows(relaxation: RelaxationEstimate) -> list[tuple[str, str, str,
         if abs(math.log10(point.time) - round(math.log10(point.time))) < 1e-6:
             add(f"{symbol} at {point.time:g} s", point.modulus, factor, unit)
     add(f"{symbol} in the long term", relaxation.long_term, factor, unit)
-    for one in relaxation.loss:
-        add(f"loss angle at {one.frequency:g} Hz", one.angle, math.pi / 180.0, "degrees")
+    for loss in relaxation.loss:
+        add(f"loss angle at {loss.frequency:g} Hz", loss.angle, math.pi / 180.0, "degrees")
     for term in relaxation.terms:
         add(f"time constant, {100 * term.share:.0f} % of {symbol}", term.time, 1.0, "s")
     return rows
@@ -264,7 +264,7 @@ def law_rows(estimate: Estimate) -> list[tuple[str, str, str, str]]:
 
 
 def load_text(estimate: Estimate) -> str:
-    """That stiffness changes with the load, in a sentence; empty where the data do not show it.
+    """A sentence that stiffness changes with the load; empty where the data do not show it.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ def _at_loads(estimate: Estimate, load: LoadDependence) -> tuple[str, list[str],
     known = estimate.identifiable["young_modulus"]
     symbol, modulus = ("E", estimate.young_modulus) if known else ("G", estimate.shear_modulus)
     factor, unit = _constant_unit(estimate, "young_modulus")
-    return symbol, [f"{modulus.value * each / factor:.3g}" for each in load.factor], unit
+    return symbol, [f"{modulus.value * ratio / factor:.3g}" for ratio in load.factor], unit
 
 
 def stiffening_text(stiffening: Constant, *, shown: bool) -> str:

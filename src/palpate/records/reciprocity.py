@@ -92,7 +92,7 @@ class Reciprocity:
 
     @property
     def is_tested(self) -> bool:
-        """Whether there is any pair to judge by."""
+        """True if there are pairs to judge by."""
         return self.degrees > 0
 
     @property

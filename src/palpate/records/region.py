@@ -187,7 +187,7 @@ def read_regions(root: TomlTable, body: HeldObject) -> tuple[Region, ...]:
     for table in root.optional("region", root.tables) or ():
         table.check_keys(("name", *_SHAPES, "thickness", "faces", *_knowledge_keys()))
         regions.append(_region(table, body))
-        if regions[-1].name in [each.name for each in regions[:-1]]:
+        if regions[-1].name in [region.name for region in regions[:-1]]:
             table.fail("name", f"'{regions[-1].name}' is that of another region; each its own")
     return tuple(regions)
 
@@ -205,9 +205,9 @@ def _region(table: TomlTable, body: HeldObject) -> Region:
     if len(given) != 1:
         has = " and ".join(given) or "none"
         table.fail("", f"says where it is by {has}; give one of {', '.join(_SHAPES)}")
-    for key, of in (("thickness", "plane"), ("faces", "skin")):
-        if key in keys and given != [of]:
-            table.fail(key, f"belongs to {of}, but the region is given by {given[0]}")
+    for key, required in (("thickness", "plane"), ("faces", "skin")):
+        if key in keys and given != [required]:
+            table.fail(key, f"belongs to {required}, but the region is given by {given[0]}")
     known = [key for key in KNOWN if key in keys]
     for key in KNOWN:
         if f"{key}_std" in keys and key not in known:

@@ -241,7 +241,7 @@ def check_cameras(rig: Rig) -> None:
 
 
 def _matrix_fault(camera: Camera) -> str:
-    """What no camera's matrix is; empty: nothing."""
+    """What is impossible in a camera's matrix; empty if nothing is."""
     focal, middle = np.diag(camera.matrix)[:2], camera.matrix[:2, 2]
     least = 1.0 if camera.size is None else _SHORTEST_FOCAL * max(camera.size)
     if focal.min() < least:
@@ -257,7 +257,7 @@ def _matrix_fault(camera: Camera) -> str:
     if camera.size is None:
         return ""
     half = 0.5 * (np.array(camera.size) - 1.0)
-    off, exchanged = (float(abs(place - half).max()) for place in (middle, middle[::-1]))
+    off, exchanged = (float(abs(point - half).max()) for point in (middle, middle[::-1]))
     if off > _NOTED_OFF * max(camera.size) and exchanged < 0.25 * off:
         return (
             f"K: its principal point is ({middle[0]:g}, {middle[1]:g}) px in a picture of"
@@ -268,7 +268,7 @@ def _matrix_fault(camera: Camera) -> str:
 
 
 def _lens_fault(camera: Camera) -> str:
-    """What no lens does within its picture; empty: nothing."""
+    """What is impossible in a lens model within its picture; empty if nothing is."""
     limit = lens_radius_limit(camera.distortion)
     if camera.size is None or not np.isfinite(limit):
         return ""
@@ -310,11 +310,11 @@ def check_baselines(rig: Rig) -> None:
     tolerance = _SAME_POSITION * np.linalg.norm(centre, axis=1).max()
     for (i, first), (k, second) in combinations(enumerate(rig.cameras), 2):
         if np.linalg.norm(centre[i] - centre[k]) <= tolerance:
-            place = ", ".join(f"{x:.4g}" for x in centre[i])
+            position = ", ".join(f"{x:.4g}" for x in centre[i])
             raise CalibrationError(
                 f"{rig.source}: cameras '{first.name}' and '{second.name}' stand at the same place,"
-                f" ({place}) m: together they show no depth; correct R and t, or leave one of them"
-                " out"
+                f" ({position}) m: together they show no depth; correct R and t, or leave one of"
+                " them out"
             )
 
 

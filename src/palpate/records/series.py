@@ -85,13 +85,13 @@ class Series:
 
     @property
     def rise(self) -> float:
-        """Time from the first contact until the force is there [s]."""
+        """Time from the first contact until the force is reached [s]."""
         risen = np.abs(self.force) >= _RISEN * np.abs(self.force).max()
         return float(self.time[int(risen.argmax())] - self.contact)
 
     @property
     def hold(self) -> float:
-        """Time from then on [s]."""
+        """Time from the end of the rise to the last instant [s]."""
         return float(self.time[-1] - self.contact) - self.rise
 
     @property

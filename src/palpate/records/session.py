@@ -177,12 +177,12 @@ def without_pictures(session: Session) -> bool:
     session : Session
     """
     return bool(session.probings) and all(
-        each.displacement is None
-        and each.images is None
-        and each.tip_displacement is not None
-        and isinstance(each.contact.tool, RoundTool)
-        and each.contact.tool.growth is not None
-        for each in session.probings
+        probing.displacement is None
+        and probing.images is None
+        and probing.tip_displacement is not None
+        and isinstance(probing.contact.tool, RoundTool)
+        and probing.contact.tool.growth is not None
+        for probing in session.probings
     )
 
 
@@ -222,7 +222,7 @@ def _check_contents(session: Session) -> None:
 
 
 def _check_gravity(session: Session) -> None:
-    """Refuse a density or a gravity that nothing has, and gravity where its share is not known."""
+    """Refuse an impossible density or gravity, and gravity whose share is not known."""
     density, gravity = session.density, session.gravity
     if density is not None and not 0.0 < density <= _LARGEST_DENSITY:
         raise InputError(
@@ -320,21 +320,21 @@ def _check_disjoint(mesh: TriangleMesh, supports: Sequence[Support], i: int, j: 
 
 def _check_motion(probing: Probing, given: Sequence[int]) -> None:
     """Refuse a support motion that is missing, or that no support expects."""
-    place = f"probing '{probing.name}'"
+    prefix = f"probing '{probing.name}'"
     has_motion = probing.support_motion is not None
     if given and not has_motion and probing.support_displacement is None:
         raise InputError(
-            f"{place}: the motion of support {given[0]} is to be given; name the file of its"
+            f"{prefix}: the motion of support {given[0]} is to be given; name the file of its"
             " displacements as support_displacement, or a rigid motion as support_motion"
         )
     if not given and (has_motion or probing.support_displacement is not None):
         raise InputError(
-            f'{place}: gives a motion of the support, but no support has motion = "given"; say so'
+            f'{prefix}: gives a motion of the support, but no support has motion = "given"; say so'
             " in [support], or leave it out"
         )
     if has_motion and len(given) > 1:
         raise InputError(
-            f"{place}: support_motion is one motion, but that of {len(given)} supports is to be"
+            f"{prefix}: support_motion is one motion, but that of {len(given)} supports is to be"
             " given; give support_displacement, with points on each of them"
         )
 
@@ -343,7 +343,7 @@ def _check_pulled_support(
     probing: Probing, triangles: Indices, supports: Sequence[Support]
 ) -> None:
     """Refuse a force on a support that is not free to move, or without another support to react."""
-    place = f"probing '{probing.name}'"
+    prefix = f"probing '{probing.name}'"
     pulled = [
         number
         for number, support in enumerate(supports, start=1)
@@ -351,19 +351,19 @@ def _check_pulled_support(
     ]
     if not pulled or len(supports) < 2:
         raise InputError(
-            f"{place}: its force acts on a support, but no other support is there to react against"
+            f"{prefix}: its force acts on a support, but no other support is there to react against"
             " it; select the other grip in a [[support]] of its own"
         )
     if supports[pulled[0] - 1].motion != FREE:
         raise InputError(
-            f"{place}: its force acts on support {pulled[0]}, whose motion is"
+            f"{prefix}: its force acts on support {pulled[0]}, whose motion is"
             f" '{supports[pulled[0] - 1].motion}'; a support that is pulled moves as the force"
             ' makes it: say motion = "free", and give its measured points in the displacement file'
         )
     _check_pull_direction(probing, supports, pulled[0])
     if probing.tip_displacement is not None:
         raise InputError(
-            f"{place}: tip_displacement is of a tool's contact point, but the force acts on a"
+            f"{prefix}: tip_displacement is of a tool's contact point, but the force acts on a"
             " support; give the displacement of the grip in the displacement file"
         )
 
@@ -371,12 +371,12 @@ def _check_pulled_support(
 def _check_pull_direction(probing: Probing, supports: Sequence[Support], number: int) -> None:
     """Refuse a force outside the pulled support's held directions, or in a direction along which no
     other support reacts."""
-    place = f"probing '{probing.name}': its force acts on support {number}"
+    prefix = f"probing '{probing.name}': its force acts on support {number}"
     holding = supports[number - 1].holding
     perpendicular = float(np.linalg.norm(probing.force - holding @ probing.force))
     if perpendicular > _MAX_PERPENDICULAR * float(np.linalg.norm(probing.force)):
         raise InputError(
-            f"{place}, a roller, and {perpendicular:.3g} N of it are across its directions, along"
+            f"{prefix}, a roller, and {perpendicular:.3g} N of it are across its directions, along"
             " which it slides: give the part along them, or hold those directions too (directions"
             " in [[support]])"
         )
@@ -385,7 +385,7 @@ def _check_pull_direction(probing: Probing, supports: Sequence[Support], number:
     if value[0] < _MIN_HELD_SINE_SQUARED:
         axis = ", ".join(f"{x:.3g}" for x in np.round(vector[:, 0], 3) + 0.0)
         raise InputError(
-            f"{place}, and along ({axis}) no other support holds the object, which would follow:"
+            f"{prefix}, and along ({axis}) no other support holds the object, which would follow:"
             " hold that direction elsewhere, or make support"
             f" {number} a roller that does not hold it (directions in [[support]])"
         )

@@ -144,9 +144,9 @@ class HeldObject:
         """Triangles of all supports together, (k,) int; `still`: only of those whose points do not
         move, which are fixed and no rollers."""
         parts = [
-            one.triangles
-            for one in self.supports
-            if not still or (one.motion == FIXED and one.directions is None)
+            support.triangles
+            for support in self.supports
+            if not still or (support.motion == FIXED and support.directions is None)
         ]
         return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
 
@@ -275,7 +275,7 @@ def selected_triangles(
 
 
 def _extent_text(mesh: TriangleMesh) -> str:
-    """Size and place of the object, which tell a wrong unit."""
+    """Size and position of the object, by which a wrong unit is recognised."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     size = " x ".join(f"{1e3 * side:.4g}" for side in high - low)
     ends = (", ".join(f"{x:.3g}" for x in corner + 0.0) for corner in (low, high))

@@ -121,7 +121,7 @@ class Sphere(RoundTool):
         return self.radius
 
     def slope(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """The exact one, not that of a paraboloid."""
+        """Slope of the ball itself, not of a paraboloid."""
         return np.asarray(distance / np.sqrt(self.radius**2 - distance**2))
 
     def lead(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
@@ -155,7 +155,7 @@ class FlatFace(RoundTool):
     shape, growth, is_flat = FLAT, 0.0, True
 
     def slope(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """None."""
+        """Zero everywhere."""
         return np.zeros_like(distance)
 
     def lead(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
@@ -201,7 +201,7 @@ class Cone(RoundTool):
             )
 
     def slope(self, distance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """That of its side."""
+        """Slope of its side."""
         return np.full_like(distance, 1.0 / np.tan(self.angle))
 
     @property

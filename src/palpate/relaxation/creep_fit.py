@@ -161,7 +161,7 @@ def fit_creep(motions: Sequence[Motion], *, shortest: float, longest: float) -> 
     first-order autoregression: Bartlett, J. R. Stat. Soc. Suppl. 8 (1946) 27.
     """
     motions = tuple(motions)
-    count = sum(len(each.instant) for each in motions)
+    count = sum(len(motion.instant) for motion in motions)
     most = min(_MOST_TERMS, (count - len(motions) - _SPARE) // 2)
     if most < 1:
         raise InputError(
@@ -173,7 +173,9 @@ def fit_creep(motions: Sequence[Motion], *, shortest: float, longest: float) -> 
     thetas = [_best(motions, grid, columns, m) for m in range(min(most, len(grid)) + 1)]
     residuals = [_residual(theta, m, motions) for m, theta in enumerate(thetas)]
     independent = count * _independent_share(residuals[-1], motions)
-    floor = sum(float(np.square(_ROUNDING * each.amplitude / each.std).sum()) for each in motions)
+    floor = sum(
+        float(np.square(_ROUNDING * motion.amplitude / motion.std).sum()) for motion in motions
+    )
     square = [float(r @ r) + floor for r in residuals]
     sizes = np.array([len(theta) for theta in thetas])
     penalty = sizes * np.log(count) * count / (count - sizes - 2)
@@ -204,8 +206,8 @@ def _normalised(theta: np.ndarray, terms: int, motions: Sequence[Motion]) -> Cre
     """`CreepFit.compliance`."""
     raw = _compliance(theta, terms)
     ratio = [
-        raw.response(each.time, each.force)[each.reference] / each.force[each.reference]
-        for each in motions
+        raw.response(motion.time, motion.force)[motion.reference] / motion.force[motion.reference]
+        for motion in motions
     ]
     unit = float(np.exp(np.mean(np.log(ratio))))
     return CreepCompliance(raw.instantaneous / unit, raw.terms / unit, raw.times)
@@ -215,10 +217,10 @@ def _grid_columns(motions: Sequence[Motion], grid: np.ndarray) -> np.ndarray:
     """Weighted responses of all instants to a unit J_0 and to a unit term of each time constant,
     (count, 1 + grid)."""
     parts = []
-    for each in motions:
-        terms = [each.force - memory(each.time, each.force, tau)[0] for tau in grid]
-        rows = np.stack([each.force, *terms], axis=1)[each.instant]
-        parts.append(rows / each.std[:, None])
+    for motion in motions:
+        terms = [motion.force - memory(motion.time, motion.force, tau)[0] for tau in grid]
+        rows = np.stack([motion.force, *terms], axis=1)[motion.instant]
+        parts.append(rows / motion.std[:, None])
     return np.concatenate(parts)
 
 
@@ -226,12 +228,12 @@ def _best(
     motions: Sequence[Motion], grid: np.ndarray, columns: np.ndarray, terms: int
 ) -> np.ndarray:
     """The parameters that fit best with some number of terms."""
-    target = np.concatenate([each.amplitude / each.std for each in motions])
+    target = np.concatenate([motion.amplitude / motion.std for motion in motions])
     best = [
         (*nnls(columns[:, (0, *(1 + k for k in chosen))], target)[::-1], list(chosen))
         for chosen in combinations(range(len(grid)), terms)
     ]
-    _, amplitude, chosen = min(best, key=lambda each: each[0])
+    _, amplitude, chosen = min(best, key=lambda solution: solution[0])
     total = float(np.log(max(amplitude.sum(), np.finfo(float).tiny)))
     low = np.full(1 + 2 * terms + len(motions) - 1, total + _LOG_RANGE[0])
     high = low + _LOG_RANGE[1] - _LOG_RANGE[0]
@@ -253,32 +255,33 @@ def _residual(theta: np.ndarray, terms: int, motions: Sequence[Motion]) -> np.nd
     """Predicted minus measured motion at all instants, in standard deviations."""
     compliance = _compliance(theta, terms)
     *_, scale = _split(theta, terms, len(motions))
-    return np.concatenate([
-        (s * compliance.response(each.time, each.force)[each.instant] - each.amplitude) / each.std
-        for s, each in zip(scale, motions, strict=True)
-    ])  # fmt: skip
+    parts = []
+    for s, motion in zip(scale, motions, strict=True):
+        predicted = s * compliance.response(motion.time, motion.force)[motion.instant]
+        parts.append((predicted - motion.amplitude) / motion.std)
+    return np.concatenate(parts)
 
 
 def _derivative(theta: np.ndarray, terms: int, motions: Sequence[Motion]) -> np.ndarray:
     """Derivative of `_residual` to theta, (count, p)."""
     first, amplitude, times, scale = _split(theta, terms, len(motions))
     parts = []
-    for k, each in enumerate(motions):
-        columns = np.zeros((len(each.time), len(theta)))
-        columns[:, 0] = first * each.force
+    for k, motion in enumerate(motions):
+        columns = np.zeros((len(motion.time), len(theta)))
+        columns[:, 0] = first * motion.force
         for i, (j, tau) in enumerate(zip(amplitude, times, strict=True), start=1):
-            left, change = memory(each.time, each.force, tau)
-            columns[:, i] = j * (each.force - left)
+            left, change = memory(motion.time, motion.force, tau)
+            columns[:, i] = j * (motion.force - left)
             columns[:, terms + i] = -j * change
         if k > 0:
             columns[:, 2 * terms + k] = columns[:, : 1 + terms].sum(axis=1)
-        parts.append(scale[k] * columns[each.instant] / each.std[:, None])
+        parts.append(scale[k] * columns[motion.instant] / motion.std[:, None])
     return np.concatenate(parts)
 
 
 def _independent_share(residual: np.ndarray, motions: Sequence[Motion]) -> float:
     """Effective over actual number of instants, from the correlation of successive residuals."""
-    ends = np.cumsum([len(each.instant) for each in motions])
+    ends = np.cumsum([len(motion.instant) for motion in motions])
     parts = np.split(residual, ends[:-1])
     total = float(residual @ residual)
     if total == 0.0:

@@ -57,7 +57,7 @@ def _methods(estimate: Estimate, surface: FittedSurface, settings: TomlTable) ->
     """What was measured, with what model, how it was fitted, what came out, a paragraph each."""
     areas = triangle_areas(TriangleMesh(surface.vertices, surface.triangles))
     held = 100.0 * areas[surface.held].sum() / areas.sum()
-    force = [float(np.linalg.norm(each.force)) for each in surface.probings]
+    force = [float(np.linalg.norm(probing.force)) for probing in surface.probings]
     points, outliers = (
         sum(getattr(probe, name) for probe in estimate.probes) for name in ("observed", "rejected")
     )
@@ -128,7 +128,7 @@ def _probings(estimate: Estimate, surface: FittedSurface) -> str:
         "probing", "force_N", "points", "missing", "outliers", "rms_residual_m",
         "prediction_error_m", "prediction_score", "prediction_within", *CONSTANT_NAMES,
     )  # fmt: skip
-    forces = {each.name: float(np.linalg.norm(each.force)) for each in surface.probings}
+    forces = {probing.name: float(np.linalg.norm(probing.force)) for probing in surface.probings}
     rows = [
         (
             probe.name, forces.get(probe.name), probe.observed, probe.missing, probe.rejected,

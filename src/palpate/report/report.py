@@ -134,7 +134,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
         "rejected": _rejection_rows(estimate),
         "reciprocity": "" if estimate.reciprocity is None else estimate.reciprocity.text,
         "field": estimate.field,
-        "regions": [region_row(each) for each in estimate.regions],
+        "regions": [region_row(region) for region in estimate.regions],
         "relaxation": _relaxation(estimate),
         "notes": [_with_greek(note) for note in (*estimate.notes, *estimate.details)],
         "seconds": _second_rows(estimate),
@@ -146,7 +146,7 @@ def _content(folder: Path, estimate: Estimate, surface: FittedSurface) -> dict[s
         "pictures": pictures,
         "missing": missing,
         "scene": shown,
-        "shown": [one["name"] for one in shown["probings"]],
+        "shown": [probing["name"] for probing in shown["probings"]],
         "left_out": shown["left_out"],
         "unit": _unit_of_moduli(estimate),
         "style": _style(shown["colours"]),
@@ -234,7 +234,7 @@ def _relaxation(estimate: Estimate) -> dict[str, Any] | None:
     relaxation = estimate.relaxation
     if relaxation is None:
         return None
-    remarks = [_with_greek(each) for each in relaxation.remarks]
+    remarks = [_with_greek(remark) for remark in relaxation.remarks]
     return {"rows": relaxation_rows(relaxation), "age": f"{relaxation.age:.3g}", "remarks": remarks}
 
 
@@ -368,7 +368,7 @@ def _error_rows(estimate: Estimate) -> list[list[str]]:
     -------
     list of list of str             name, prior, estimate, ratio
     """
-    return [_error_row(one) for one in every_error(estimate)]
+    return [_error_row(error) for error in every_error(estimate)]
 
 
 def _budget_rows(estimate: Estimate) -> list[list[str]]:
@@ -385,10 +385,10 @@ def _budget_rows(estimate: Estimate) -> list[list[str]]:
     """
     return [
         [
-            one.source, _part(100.0 * one.young_modulus), _part(100.0 * one.shear_modulus),
-            _part(one.poisson_ratio),
+            entry.source, _part(100.0 * entry.young_modulus), _part(100.0 * entry.shear_modulus),
+            _part(entry.poisson_ratio),
         ]
-        for one in estimate.budget
+        for entry in estimate.budget
     ]  # fmt: skip
 
 
@@ -407,7 +407,7 @@ def every_error(estimate: Estimate) -> list[ErrorEstimate]:
     -------
     list of ErrorEstimate
     """
-    return [*estimate.errors, *(one for probe in estimate.probes for one in probe.errors)]
+    return [*estimate.errors, *(error for probe in estimate.probes for error in probe.errors)]
 
 
 def _error_row(error: ErrorEstimate) -> list[str]:

@@ -145,8 +145,8 @@ def _record(
     done: str,
 ) -> None:
     if defective.any():
-        place = corner[np.flatnonzero(defective)[0]].mean(axis=0)
-        actions.append(Action(what, int(defective.sum()), place, done))
+        position = corner[np.flatnonzero(defective)[0]].mean(axis=0)
+        actions.append(Action(what, int(defective.sum()), position, done))
 
 
 def _sewn(vertices: Vertices, triangles: Triangles, reach: float, actions: list[Action]) -> Faces:
@@ -154,18 +154,18 @@ def _sewn(vertices: Vertices, triangles: Triangles, reach: float, actions: list[
     rim = rim_vertices(triangles)
     pairs = rim[cKDTree(vertices[rim]).query_pairs(reach, output_type="ndarray")]
     # The two ends of an edge are not to be merged.
-    own = half_edges(triangles).ends
-    is_edge = np.isin(pairs @ [len(vertices), 1], own @ [len(vertices), 1])
-    is_edge |= np.isin(pairs[:, ::-1] @ [len(vertices), 1], own @ [len(vertices), 1])
+    ends = half_edges(triangles).ends
+    is_edge = np.isin(pairs @ [len(vertices), 1], ends @ [len(vertices), 1])
+    is_edge |= np.isin(pairs[:, ::-1] @ [len(vertices), 1], ends @ [len(vertices), 1])
     pairs = pairs[~is_edge]
     if len(pairs) == 0:
         return triangles
     _, group = connected_components(pairs, len(vertices))
     _, first = np.unique(group, return_index=True)
     joined = first[group][triangles]
-    place = vertices[pairs[0, 0]]
+    position = vertices[pairs[0, 0]]
     count = len(np.unique(pairs))
-    actions.append(Action("unmerged vertex", count, place, "merged across their crack"))
+    actions.append(Action("unmerged vertex", count, position, "merged across their crack"))
     twice = (joined == np.roll(joined, -1, axis=1)).any(axis=1)
     return joined[~twice]
 
@@ -174,7 +174,7 @@ def _split_at_rims(
     vertices: Vertices, triangles: Triangles, reach: float, actions: list[Action]
 ) -> Faces:
     """Cut rim edges at vertices of other rims that lie on them (T-junctions)."""
-    cut, place = 0, vertices[0]
+    cut, position = 0, vertices[0]
     for _ in range(_PASSES):
         splits = _splits(vertices, triangles, reach)
         if not splits:
@@ -186,10 +186,10 @@ def _split_at_rims(
             chain = [a, *between, b]
             fans += [(p, q, c) for p, q in pairwise(chain)]
             keep[triangle] = False
-            cut, place = cut + len(between), vertices[between[0]]
+            cut, position = cut + len(between), vertices[between[0]]
         triangles = np.concatenate([triangles[keep], np.array(fans, dtype=np.int64)])
     if cut:
-        actions.append(Action("T-junction", cut, place, "edges cut where vertices lie on them"))
+        actions.append(Action("T-junction", cut, position, "edges cut where vertices lie on them"))
     return triangles
 
 
@@ -271,9 +271,9 @@ def _consistent(mesh: TriangleMesh) -> tuple[Triangles, Int[np.ndarray, " m"]]:
     a, b = halves.pairs().T
     clash = np.flatnonzero(halves.tail[a] == halves.tail[b])
     if len(clash):
-        place = place_text(mesh.vertices[halves.tail[a[clash[0]]]])
+        where = place_text(mesh.vertices[halves.tail[a[clash[0]]]])
         raise MeshError(
-            f"the surface is one-sided, like a Moebius strip: inside and outside meet near {place};"
+            f"the surface is one-sided, like a Moebius strip: inside and outside meet near {where};"
             " cut it there and make it the skin of a solid in a mesh program"
         )
     return triangles, patch.ravel().astype(np.int64)
@@ -307,19 +307,19 @@ def without_dust(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
     dust = (size < _DUST_SIZE * size.max()) & (area < _DUST_AREA * area.sum())
     actions = []
     if dust.any():
-        place = parts[int(np.flatnonzero(dust)[0])].vertices.mean(axis=0)
-        actions.append(Action("stray piece", int(dust.sum()), place, "removed"))
-    kept = [int(k) for k in np.argsort(-area) if not dust[k]]
+        position = parts[int(np.flatnonzero(dust)[0])].vertices.mean(axis=0)
+        actions.append(Action("stray piece", int(dust.sum()), position, "removed"))
+    remaining = [int(k) for k in np.argsort(-area) if not dust[k]]
     reach, copies = seam_width(mesh), []
-    for k in list(kept[1:]):
-        others = [j for j in kept if j != k]
+    for k in list(remaining[1:]):
+        others = [j for j in remaining if j != k]
         if any(distances(parts[k].vertices, parts[j]).max() <= reach for j in others):
-            kept.remove(k)
+            remaining.remove(k)
             copies.append(k)
     if copies:
-        place = parts[copies[0]].vertices.mean(axis=0)
-        actions.append(Action("duplicate shell", len(copies), place, "removed"))
-    return compacted(mesh.vertices, mesh.triangles[np.isin(label, kept)]), actions
+        position = parts[copies[0]].vertices.mean(axis=0)
+        actions.append(Action("duplicate shell", len(copies), position, "removed"))
+    return compacted(mesh.vertices, mesh.triangles[np.isin(label, remaining)]), actions
 
 
 def without_walls(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
@@ -363,7 +363,7 @@ def without_walls(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
             walls, drop = walls + 1, drop | mine
     if not drop.any():
         return mesh, []
-    place = mesh.vertices[mesh.triangles[np.flatnonzero(drop)[0]]].mean(axis=0)
+    position = mesh.vertices[mesh.triangles[np.flatnonzero(drop)[0]]].mean(axis=0)
     names = {"dangling sheet": fins, "inner wall": walls}
-    actions = [Action(name, count, place, "removed") for name, count in names.items() if count]
+    actions = [Action(name, count, position, "removed") for name, count in names.items() if count]
     return compacted(mesh.vertices, mesh.triangles[~drop]), actions

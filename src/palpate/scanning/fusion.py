@@ -120,8 +120,8 @@ def _winding(
     points."""
     igl = late_import("igl", extra="surface", purpose="joining scans")
     half = [(c + 1) // 2 for c in count]
-    place = low + 2.0 * cell * _grid(half)
-    arrays = (np.ascontiguousarray(a) for a in (*_thinned(points, normals, area, cell), place))
+    nodes = low + 2.0 * cell * _grid(half)
+    arrays = (np.ascontiguousarray(a) for a in (*_thinned(points, normals, area, cell), nodes))
     coarse = np.asarray(igl.fast_winding_number(*arrays)).reshape(half[::-1])
     for axis in range(3):
         size = coarse.shape[axis]
@@ -142,11 +142,11 @@ def _thinned(
     def total(value: np.ndarray) -> np.ndarray:
         return np.bincount(group, value, len(count))
 
-    place = np.stack([total(points[:, k]) for k in range(3)], axis=1) / count[:, None]
+    middle = np.stack([total(points[:, k]) for k in range(3)], axis=1) / count[:, None]
     whole = np.stack([total(area * normals[:, k]) for k in range(3)], axis=1)
     size = np.linalg.norm(whole, axis=1)
-    kept = size > 0.0
-    return place[kept], whole[kept] / size[kept, None], size[kept]
+    nonzero = size > 0.0
+    return middle[nonzero], whole[nonzero] / size[nonzero, None], size[nonzero]
 
 
 def _field(
@@ -212,8 +212,8 @@ def _outline(
     # From the highest fraction to the lowest, so that the lowest points override.
     for fraction in reversed(_LOW):
         low = faces & (height <= fraction * float(height.max()))
-        for one in np.unique(sector[low]):
-            reach[one] = np.median(radius[low & (sector == one)])
+        for number in np.unique(sector[low]):
+            reach[number] = np.median(radius[low & (sector == number)])
     known = np.flatnonzero(np.isfinite(reach))
     if len(known) == 0:
         raise MeshError(
@@ -374,7 +374,7 @@ def _solved(
 
 def _deviation(
     error: Float[np.ndarray, "v k"],
-    place: Float[np.ndarray, "v k 3"],
+    position: Float[np.ndarray, "v k 3"],
     view: Int[np.ndarray, "v k"],
     correlation_length: Float[np.ndarray, "v k"],
 ) -> Float[np.ndarray, " v"]:
@@ -385,7 +385,7 @@ def _deviation(
     """
     variance = np.empty(len(error))
     for rows in np.array_split(np.arange(len(error)), len(error) // _AT_ONCE + 1):
-        distance = np.linalg.norm(place[rows, :, None] - place[rows, None], axis=3)
+        distance = np.linalg.norm(position[rows, :, None] - position[rows, None], axis=3)
         width = np.maximum(correlation_length[rows][:, :, None], 1e-12)
         same = view[rows][:, :, None] == view[rows][:, None]
         common = np.where(same, np.maximum(1.0 - distance / width, 0.0), 0.0)
@@ -398,6 +398,6 @@ def _correlation(contribution: Float[np.ndarray, "v k"], view: Int[np.ndarray, "
     """Rms of the residuals' sums over each view relative to that of independent ones, >= 1."""
     independent = float((contribution**2).sum())
     together = 0.0
-    for one in range(int(view.max()) + 1):
-        together += float((np.where(view == one, contribution, 0.0).sum(axis=1) ** 2).sum())
+    for number in range(int(view.max()) + 1):
+        together += float((np.where(view == number, contribution, 0.0).sum(axis=1) ** 2).sum())
     return max(float(np.sqrt(together / independent)), 1.0) if independent > 0.0 else 1.0

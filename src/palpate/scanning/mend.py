@@ -78,8 +78,8 @@ def mend(
     before = mesh
     mesh, turned = oriented(mesh)
     if turned.any():
-        place = mesh.vertices[mesh.triangles[np.flatnonzero(turned)[0]]].mean(axis=0)
-        actions.append(Action("flipped triangle", int(turned.sum()), place, "turned outward"))
+        position = mesh.vertices[mesh.triangles[np.flatnonzero(turned)[0]]].mean(axis=0)
+        actions.append(Action("flipped triangle", int(turned.sum()), position, "turned outward"))
     _refuse_cavities(before, mesh)
     if support is not None:
         support = _upward(support, mesh)
@@ -126,8 +126,8 @@ def _one_solid(mesh: TriangleMesh) -> tuple[TriangleMesh, list[Action]]:
             f"{reason}; what it winds around is {1e3 * gap.max():.3g} mm off it near"
             f" {place_text(solid.vertices[gap.argmax()])}"
         ) from reason
-    place = _first_crossing(mesh)
-    return solid, [Action("self-intersection", 1, place, "the outer skin found anew on a grid")]
+    position = _first_crossing(mesh)
+    return solid, [Action("self-intersection", 1, position, "the outer skin found anew on a grid")]
 
 
 def _first_crossing(mesh: TriangleMesh) -> Vector3:
@@ -174,15 +174,15 @@ def _cut(mesh: TriangleMesh, support: Plane) -> tuple[TriangleMesh, list[Action]
     """Cut off the part below the support; raises if the surface does not reach the support."""
     heights = support.heights(mesh.vertices)
     deepest, actions = int(heights.argmin()), []
-    place = mesh.vertices[deepest]
+    position = mesh.vertices[deepest]
     if heights[deepest] < -seam_width(mesh):
         mesh = above(mesh, support)
-        actions = [Action("part below the support", 1, place, "cut off at its plane")]
+        actions = [Action("part below the support", 1, position, "cut off at its plane")]
     if not (abs(support.heights(mesh.vertices))[mesh.triangles] < seam_width(mesh)).all(1).any():
         raise MeshError(
-            f"nothing of the object lies on the support: its lowest point, {place_text(place)}, is"
-            f" {1e3 * heights[deepest]:.3g} mm above the plane; check the plane and the unit of the"
-            " mesh"
+            f"nothing of the object lies on the support: its lowest point, {place_text(position)},"
+            f" is {1e3 * heights[deepest]:.3g} mm above the plane; check the plane and the unit of"
+            " the mesh"
         )
     return mesh, actions
 
@@ -332,13 +332,13 @@ def _closed(
         _check_size(vertices[chain], whole)
         patches.append(patch(vertices, [chain]))
     if free:
-        place = vertices[free[0]].mean(axis=0)
-        actions.append(Action("hole", len(free), place, "closed with a patch"))
+        position = vertices[free[0]].mean(axis=0)
+        actions.append(Action("hole", len(free), position, "closed with a patch"))
     if support is not None and standing:
         vertices, skirt = on_plane(mesh, standing, support)
         patches.append(skirt)
-        place = vertices[standing[0]].mean(axis=0)
-        actions.append(Action("open base", 1, place, "closed with the support's plane"))
+        position = vertices[standing[0]].mean(axis=0)
+        actions.append(Action("open base", 1, position, "closed with the support's plane"))
     triangles = np.concatenate([mesh.triangles, *patches])
     guessed = np.arange(len(triangles)) >= len(mesh.triangles)
     return TriangleMesh(vertices=vertices, triangles=triangles), guessed, actions

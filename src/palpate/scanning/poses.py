@@ -134,33 +134,33 @@ def _compared(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Points of b in a's frame, normals of the nearest points of a, distances from these and from
     their tangent planes, cosines between the normals."""
-    place = b.points @ pose[:3, :3].T + pose[:3, 3]
-    gap, index = a.tree.query(place)
+    points = b.points @ pose[:3, :3].T + pose[:3, 3]
+    gap, index = a.tree.query(points)
     normal = a.normals[index]
-    height = np.einsum("na,na->n", place - a.points[index], normal)
-    return place, normal, gap, height, np.einsum("na,na->n", b.normals @ pose[:3, :3].T, normal)
+    height = np.einsum("na,na->n", points - a.points[index], normal)
+    return points, normal, gap, height, np.einsum("na,na->n", b.normals @ pose[:3, :3].T, normal)
 
 
 def _matched(
     a: _Cloud, b: _Cloud, pose: Pose, width: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Points of b in a's frame, normals of a there, distances from a's tangent planes, weights."""
-    place, normal, gap, height, facing = _compared(a, b, pose)
+    points, normal, gap, height, facing = _compared(a, b, pose)
     weight = 1.0 / (1.0 + (height / width) ** 2) ** 2
     # Points without a counterpart, or on another side of the object, get no weight.
     weight *= 1.0 / (1.0 + (gap / (3.0 * width + a.spacing)) ** 2) ** 2
     weight *= facing > 0.5
-    return place, normal, height, weight
+    return points, normal, height, weight
 
 
 def _stepped(a: _Cloud, b: _Cloud, pose: Pose, width: float) -> Pose:
     """One weighted point-to-plane step of b towards a's tangent planes."""
-    place, normal, height, weight = _matched(a, b, pose, width)
+    points, normal, height, weight = _matched(a, b, pose, width)
     if weight.sum() < 10.0 * np.finfo(float).eps:
         return pose
-    centre = place.mean(axis=0)
-    scale = float(np.sqrt(((place - centre) ** 2).sum(axis=1).mean()))
-    row = np.hstack([np.cross((place - centre) / scale, normal), normal])
+    centre = points.mean(axis=0)
+    scale = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
+    row = np.hstack([np.cross((points - centre) / scale, normal), normal])
     matrix = row.T @ (weight[:, None] * row)
     matrix += 1e-4 * np.trace(matrix) / 6.0 * np.eye(6)
     move = -np.linalg.solve(matrix, row.T @ (weight * height))
@@ -199,9 +199,9 @@ def _adjusted(clouds: Sequence[_Cloud], poses: list[Pose], *, progress: Progress
         matrix, right = np.zeros((count, 6, count, 6)), np.zeros((count, 6))
         scale = float(np.linalg.norm(np.ptp(clouds[0].points, axis=0)))
         for i, j in pairs:
-            own, side = _pair_equations(clouds[i], clouds[j], poses[i], poses[j], centre, scale)
+            block, side = _pair_equations(clouds[i], clouds[j], poses[i], poses[j], centre, scale)
             for k, m, sign in ((i, i, 1.0), (j, j, 1.0), (i, j, -1.0), (j, i, -1.0)):
-                matrix[k, :, m] += sign * own
+                matrix[k, :, m] += sign * block
             right[j] += side
             right[i] -= side
         free = matrix[1:, :, 1:].reshape(6 * (count - 1), -1)
@@ -237,9 +237,9 @@ def _pair_equations(
 ) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6"]]:
     """Normal equations of the motion of b's view relative to a's, in the common frame."""
     width = _WIDTH * max(a.sigma, b.sigma)
-    place, normal, height, weight = _matched(a, b, np.linalg.inv(first) @ second, width)
-    place, normal = place @ first[:3, :3].T + first[:3, 3], normal @ first[:3, :3].T
-    row = np.hstack([np.cross((place - centre) / scale, normal), normal])
+    points, normal, height, weight = _matched(a, b, np.linalg.inv(first) @ second, width)
+    points, normal = points @ first[:3, :3].T + first[:3, 3], normal @ first[:3, :3].T
+    row = np.hstack([np.cross((points - centre) / scale, normal), normal])
     weighted = row.T * (weight / (a.sigma**2 + b.sigma**2))
     return weighted @ row, weighted @ height
 
@@ -249,13 +249,13 @@ def _check_fixed(views: Sequence[View], clouds: Sequence[_Cloud], poses: list[Po
     for k in range(1, len(clouds)):
         a, b = clouds[k - 1], clouds[k]
         pose = np.linalg.inv(poses[k - 1]) @ poses[k]
-        place, normal, _, weight = _matched(a, b, pose, _WIDTH * max(a.sigma, b.sigma))
-        centre = place.mean(axis=0)
-        scale = float(np.sqrt(((place - centre) ** 2).sum(axis=1).mean()))
-        row = np.hstack([np.cross((place - centre) / scale, normal), normal])
+        points, normal, _, weight = _matched(a, b, pose, _WIDTH * max(a.sigma, b.sigma))
+        centre = points.mean(axis=0)
+        scale = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
+        row = np.hstack([np.cross((points - centre) / scale, normal), normal])
         _, vectors = np.linalg.eigh(row.T @ (weight[:, None] * row))
         weakest = vectors[:, 0]
-        moved = np.cross(weakest[:3], (place - centre) / scale) + weakest[3:]
+        moved = np.cross(weakest[:3], (points - centre) / scale) + weakest[3:]
         length = _TRIAL * _size(b) / float(np.sqrt((moved**2).sum(axis=1).mean()))
         still = [
             _overlap(a, b, _motion(s * weakest[:3] / scale, s * weakest[3:], centre) @ pose)

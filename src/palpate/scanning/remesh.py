@@ -105,7 +105,7 @@ def remeshed(
         if abs(off - 1.0) < _CLOSE:
             break
         scale *= np.sqrt(off)
-    tries.sort(key=lambda one: one[0])
+    tries.sort(key=lambda attempt: attempt[0])
     try:
         return _accepted(tries[0][1])
     except MeshError as error:
@@ -150,11 +150,11 @@ def _base(
     return adapted(even, _sizes(even.vertices, edge, near) / fine, surface=mesh, **keep)
 
 
-def _sizes(place: Vertices, edge: float, near: Points | None) -> Float[np.ndarray, " v"]:
+def _sizes(points: Vertices, edge: float, near: Points | None) -> Float[np.ndarray, " v"]:
     """Wanted edge length at points [m]."""
     if near is None:
-        return np.full(len(place), edge)
-    gap, _ = cKDTree(near).query(place)
+        return np.full(len(points), edge)
+    gap, _ = cKDTree(near).query(points)
     return np.minimum(edge, FINER * edge + _GROWTH * gap)
 
 
@@ -175,9 +175,9 @@ def _accepted(mesh: TriangleMesh) -> TriangleMesh:
     if ratio[k] < _THINNEST:
         more = len(sound.vertices) * (_THINNEST / ratio[k]) ** 2
         cure = f"ask for {1.2 * more:.2g} vertices" if more < _MAX_VERTICES else "thicken it"
-        place = place_text(corner[k].mean(axis=0))
+        where = place_text(corner[k].mean(axis=0))
         raise MeshError(
-            f"the body is {1e3 * thickness[k]:.2g} mm thin near {place}, where"
+            f"the body is {1e3 * thickness[k]:.2g} mm thin near {where}, where"
             f" the triangles' edges have {1e3 * edge[k]:.2g} mm: both sides would act as one;"
             f" {cure}, or use points finer there"
         )
@@ -242,18 +242,18 @@ def _rim(mesh: TriangleMesh, support: Plane) -> Int[np.ndarray, "k 2"]:
 
 def _projected(free: TriangleMesh, surface: TriangleMesh) -> TriangleMesh:
     """Project vertices onto a surface, except where that would flatten or invert triangles."""
-    _, place = _nearest(free.vertices, surface)
+    _, position = _nearest(free.vertices, surface)
     before = _smallest_angles(free.vertices, free.triangles)
     normal = area_vectors(free)
     for _ in range(_ROUNDS):
-        moved = TriangleMesh(vertices=place, triangles=free.triangles)
-        flat = _smallest_angles(place, free.triangles) < np.minimum(_FLAT, 0.5 * before)
+        moved = TriangleMesh(vertices=position, triangles=free.triangles)
+        flat = _smallest_angles(position, free.triangles) < np.minimum(_FLAT, 0.5 * before)
         flat |= np.einsum("ea,ea->e", area_vectors(moved), normal) <= 0.0
         if not flat.any():
             break
         back = np.unique(free.triangles[flat])
-        place[back] = free.vertices[back]
-    return TriangleMesh(vertices=place, triangles=free.triangles)
+        position[back] = free.vertices[back]
+    return TriangleMesh(vertices=position, triangles=free.triangles)
 
 
 def _smallest_angles(vertices: Vertices, triangles: Triangles) -> TriangleScalars:
@@ -317,11 +317,11 @@ def _nearest(points: Points, mesh: TriangleMesh) -> tuple[PointScalars, Points]:
     InputError                          a package of the extra `surface` is not installed
     """
     igl = late_import("igl", extra="surface", purpose="comparing surfaces")
-    square, _, place = igl.point_mesh_squared_distance(
+    square, _, closest = igl.point_mesh_squared_distance(
         np.ascontiguousarray(points), mesh.vertices, mesh.triangles
     )
     gap = np.sqrt(np.maximum(np.asarray(square).ravel(), 0.0))
-    return gap, np.array(place).reshape(-1, 3)
+    return gap, np.array(closest).reshape(-1, 3)
 
 
 def deviation(true: TriangleMesh, other: TriangleMesh) -> Deviation:

@@ -135,8 +135,10 @@ def scan_surface(
     if support is not None:
         if np.median(support.heights(points)) < 0.0:
             support = Plane(support.point, -support.normal)
-        kept = support.heights(points) > -_NEAR_SIZE * float(np.ptp(points, axis=0).max())
-        points, normals, sigma, number = points[kept], normals[kept], sigma[kept], number[kept]
+        standing = support.heights(points) > -_NEAR_SIZE * float(np.ptp(points, axis=0).max())
+        points, normals, sigma, number = (
+            values[standing] for values in (points, normals, sigma, number)
+        )
     progress("joining", 0.3)
     skin = fused(points, normals, support=support)
     skin = skin if support is None else above(skin, support)
@@ -219,20 +221,20 @@ def _agreements(views: Sequence[View]) -> tuple[Agreement, ...]:
     everything = np.concatenate([view.points for view in views])
     size = float(np.linalg.norm(np.ptp(everything, axis=0)))
     agreements = tuple(_agreement(views, k, _NEAR * size) for k in range(len(views)))
-    for one, view in zip(agreements, views, strict=True):
-        if one.overlap < _OVERLAP:
+    for agreement, view in zip(agreements, views, strict=True):
+        if agreement.overlap < _OVERLAP:
             raise InputError(
-                f"view '{one.name}' shows {100.0 * one.overlap:.0f} % of what others show, too"
-                f" little to be joined ({100.0 * _OVERLAP:.0f} % at least): take views between, or"
-                " check its pose and unit"
+                f"view '{agreement.name}' shows {100.0 * agreement.overlap:.0f} % of what others"
+                f" show, too little to be joined ({100.0 * _OVERLAP:.0f} % at least): take views"
+                " between, or check its pose and unit"
             )
         allowed = max(_OFF * float(np.median(view.sigma)), _OFF_SIZE * size)
-        if one.offset > allowed:
+        if agreement.offset > allowed:
             raise InputError(
-                f"view '{one.name}' contradicts the others: half of its points are"
-                f" {1e3 * one.offset:.2g} mm or more off their surface, {1e3 * allowed:.2g} mm are"
-                " in the noise; the object moved between the views, or its pose is wrong: leave it"
-                " out, or leave all poses out to have them estimated"
+                f"view '{agreement.name}' contradicts the others: half of its points are"
+                f" {1e3 * agreement.offset:.2g} mm or more off their surface, {1e3 * allowed:.2g}"
+                " mm are in the noise; the object moved between the views, or its pose is wrong:"
+                " leave it out, or leave all poses out to have them estimated"
             )
     return agreements
 
@@ -242,14 +244,14 @@ def _agreement(views: Sequence[View], k: int, near: float) -> Agreement:
     step = max(1, len(view.points) // _SAMPLES)
     points, normals = view.points[::step], view.normals[::step]
     others = [other for j, other in enumerate(views) if j != k]
-    place = np.concatenate([other.points for other in others])
+    other_points = np.concatenate([other.points for other in others])
     facing = np.concatenate([other.normals for other in others])
-    gap, index = cKDTree(place).query(points, k=8, distance_upper_bound=near)
+    gap, index = cKDTree(other_points).query(points, k=8, distance_upper_bound=near)
     both = np.isfinite(gap)
     index = np.where(both, index, 0)
     both &= np.einsum("nka,na->nk", facing[index], normals) > 0.7
     seen = both.any(axis=1)
-    height = np.einsum("nka,nka->nk", points[:, None] - place[index], facing[index])
+    height = np.einsum("nka,nka->nk", points[:, None] - other_points[index], facing[index])
     height = np.ma.median(np.ma.array(height, mask=~both), axis=1).filled(0.0)
     off = float(np.median(abs(height[seen]))) if seen.any() else 0.0
     return Agreement(view.name, len(view.points), float(seen.mean()), off)
@@ -302,7 +304,7 @@ def _of_mending(surface: PreparedSurface) -> dict[str, Any]:
 def _of_views(surface: ScannedSurface) -> dict[str, Any]:
     """Agreement of the views with each other and with the mesh."""
     return {
-        "views": [asdict(one) for one in surface.agreements],
+        "views": [asdict(agreement) for agreement in surface.agreements],
         "distance": {"median": surface.distance[0], "percentile_95": surface.distance[1]},
         "volume_std": surface.volume_std,
     }

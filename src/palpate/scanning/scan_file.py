@@ -169,13 +169,15 @@ def read_scan(path: Path, *, progress: Progress = silent) -> Scan:
     if not tables:
         table.fail("", "holds no [[view]]")
     views = []
-    for k, one in enumerate(tables):
+    for k, view_table in enumerate(tables):
         progress(f"view {k + 1} of {len(tables)}", k / len(tables))
-        view, own = _view(one, k, setup)
-        if "file" in one.values and own[-1] in files:
-            one.fail("file", f"{own[-1].name} is another view already; name each once")
+        view, view_files = _view(view_table, k, setup)
+        if "file" in view_table.values and view_files[-1] in files:
+            view_table.fail(
+                "file", f"{view_files[-1].name} is another view already; name each once"
+            )
         views.append(view)
-        files += own
+        files += view_files
     posed = [view.T_object_view is not None for view in views]
     if any(posed) and not all(posed):
         name = views[posed.index(False)].name
@@ -234,8 +236,8 @@ def _view(table: TomlTable, number: int, setup: _Setup) -> tuple[View, list[Path
         table.fail("", "must have a file (points or a depth map) or images, one of them")
     pose, files = _pose(table, setup)
     if "images" in table.values:
-        view, own = _stereo_view(table, setup, pose)
-        return view, [*files, *own]
+        view, view_files = _stereo_view(table, setup, pose)
+        return view, [*files, *view_files]
     file = table.existing_file("file")
     eye = table.optional("eye", table.vector)
     make: Callable[..., View] = partial(
@@ -385,11 +387,12 @@ def read_points(path: Path, *, metres_per_unit: float = 1.0) -> Points:
     if len(points) == 0:
         raise RecordError(f"{path}: holds no points with three finite coordinates")
     points = points * metres_per_unit
-    span, place = float(np.ptp(points, axis=0).max()), float(abs(points).max())
-    if place > _SPAN[1] or (len(points) > 1 and span < _SPAN[0]):
+    span, farthest = float(np.ptp(points, axis=0).max()), float(abs(points).max())
+    if farthest > _SPAN[1] or (len(points) > 1 and span < _SPAN[0]):
         raise RecordError(
-            f"{path}: its points are {span:.3g} m across, up to {place:.3g} m from the origin; an"
-            f" object must be {_SPAN[0]:g} m across or more, within {_SPAN[1]:g} m: check the unit"
+            f"{path}: its points are {span:.3g} m across, up to {farthest:.3g} m from the origin;"
+            f" an object must be {_SPAN[0]:g} m across or more, within {_SPAN[1]:g} m: check the"
+            " unit"
         )
     return points
 
@@ -465,8 +468,8 @@ def _pcd(content: bytes) -> Float[np.ndarray, "n 3"]:
         ]
     )
     table = np.frombuffer(data, layout, int(field["POINTS"][0]))
-    place = [names.index(axis) for axis in "xyz"]
-    return np.stack([table[f"{names[k]}_{k}"][:, 0] for k in place], axis=1).astype(np.float64)
+    columns = [names.index(axis) for axis in "xyz"]
+    return np.stack([table[f"{names[k]}_{k}"][:, 0] for k in columns], axis=1).astype(np.float64)
 
 
 def depth_points(path: Path, camera: Camera, *, metres_per_level: float) -> Points:

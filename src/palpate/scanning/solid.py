@@ -51,8 +51,8 @@ def united(parts: list[TriangleMesh]) -> tuple[TriangleMesh, list[Action]]:
     large = [solid for solid in separate if solid.volume() > _PART * whole.volume()]
     if len(large) > 1:
         raise _several(large)
-    place = parts[1].vertices.mean(axis=0)
-    return _mesh(separate[0]), [Action("overlapping part", len(parts) - 1, place, "united")]
+    position = parts[1].vertices.mean(axis=0)
+    return _mesh(separate[0]), [Action("overlapping part", len(parts) - 1, position, "united")]
 
 
 def wrapped(mesh: TriangleMesh) -> TriangleMesh:
@@ -87,13 +87,13 @@ def wrapped(mesh: TriangleMesh) -> TriangleMesh:
     # Offset, so that nodes do not lie exactly on the faces of boxes.
     origin = low - 0.317 * cell
     z, y, x = np.meshgrid(sides[2], sides[1], sides[0], indexing="ij")
-    place = origin + cell * np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
+    nodes = origin + cell * np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
     # A part that is inside out has winding number -1 and does not count as a body.
-    inside = np.asarray(igl.fast_winding_number(mesh.vertices, mesh.triangles, place)).ravel() > 0.5
+    inside = np.asarray(igl.fast_winding_number(mesh.vertices, mesh.triangles, nodes)).ravel() > 0.5
     # If the surface passed through a node, triangles there would have no area.
-    gap = np.maximum(distances(place, mesh), _MIN_DISTANCE * cell)
+    gap = np.maximum(distances(nodes, mesh), _MIN_DISTANCE * cell)
     signed = np.where(inside, -1.0, 1.0) * gap
-    surface = igl.marching_cubes(signed, place, *(len(side) for side in sides), 0.0)
+    surface = igl.marching_cubes(signed, nodes, *(len(side) for side in sides), 0.0)
     skin = compacted(np.asarray(surface[0]), surface[1].astype(np.int64))
     # Steps of the grid must not be kept as creases below.
     skin = largest_piece(skin)

@@ -106,12 +106,12 @@ def force_covariance(green: GreenFunctions, state: ContactState) -> Float[np.nda
         force = state.force[nodes].ravel()
         extra = np.stack([rows.T @ part @ force for part in parts], axis=1)
         change = along @ np.linalg.solve(rows.T @ block @ along, -extra)
-        for forces, each in zip(by_compliance, change.T, strict=True):
-            np.subtract.at(forces, state.tool_of[nodes], each.reshape(-1, 3))
+        for forces, force_change in zip(by_compliance, change.T, strict=True):
+            np.subtract.at(forces, state.tool_of[nodes], force_change.reshape(-1, 3))
     by_ratio, *by_map = by_compliance
     slopes = np.stack([state.tool_force / green.material.shear_modulus, by_ratio], axis=2)
     covariance = slopes @ green.material.covariance @ slopes.transpose(0, 2, 1)
-    return covariance + sum(each[:, :, None] * each[:, None] for each in by_map)
+    return covariance + sum(derivative[:, :, None] * derivative[:, None] for derivative in by_map)
 
 
 def _directions(

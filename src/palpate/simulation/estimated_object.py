@@ -266,7 +266,10 @@ def make_estimated_object(
             f"the session gives no density: {USUAL_DENSITY:g} kg/m^3 was written; it changes"
             " motion, not where the object comes to rest"
         )
-    if any(one.stiffness is not None or one.directions is not None for one in session.supports):
+    if any(
+        support.stiffness is not None or support.directions is not None
+        for support in session.supports
+    ):
         notes.append(
             "a support gives (stiffness) or slides (directions): its nodes were written as held in"
             " all directions, so the simulator's object is stiffer than Palpate's"
@@ -306,14 +309,14 @@ def chosen_probing(session: Session, estimate: Estimate, name: str | None) -> Pr
     ------
     InputError                      no such probing
     """
-    there = {one.name: one for one in session.probings}
-    if name is not None and name not in there:
+    by_name = {probing.name: probing for probing in session.probings}
+    if name is not None and name not in by_name:
         raise InputError(
-            f"{session.path}: there is no probing '{name}' (there are: {', '.join(there)})"
+            f"{session.path}: there is no probing '{name}' (there are: {', '.join(by_name)})"
         )
-    used = {one.name for one in estimate.probes}
-    left_out = [one for one in session.probings if one.name not in used]
-    return there[name] if name is not None else (left_out or list(session.probings))[0]
+    used = {fitted.name for fitted in estimate.probes}
+    left_out = [probing for probing in session.probings if probing.name not in used]
+    return by_name[name] if name is not None else (left_out or list(session.probings))[0]
 
 
 def check_edge(mesh: TriangleMesh, edge: float | None) -> None:
@@ -372,13 +375,13 @@ def make_solid_model(
     check_edge(session.mesh, edge)
     usual = float(np.cbrt(enclosed_volume(session.mesh))) / _ALONG_BODY
 
-    def filled(longer: float, report: Progress = silent) -> Solid:
-        """Elements that many times as long."""
+    def filled(longer: float, stage_progress: Progress = silent) -> Solid:
+        """Fill the object with elements longer by a factor."""
         fine = []
         if push is not None and push.radius is not None:
             fine = [(push.point, _FINE_REACH * push.radius, longer * push.radius / _ALONG_CONTACT)]
         away = longer * (usual if edge is None else edge)
-        return make_solid(session.mesh, edge=away, fine=fine, progress=report)
+        return make_solid(session.mesh, edge=away, fine=fine, progress=stage_progress)
 
     longer = 1.0 if nodes is None else _longer(filled, nodes)
     solid = filled(longer, progress)
@@ -470,7 +473,7 @@ def _make_push(
     )  # fmt: skip
     contact = poked.contact
     patch = find_contact_patch(session.mesh, contact, session.held_triangles, name=probing.name)
-    held_out = probing.name not in {one.name for one in estimate.probes}
+    held_out = probing.name not in {fitted.name for fitted in estimate.probes}
     return Push(
         probing.name, held_out, contact.point, contact.radius, probing.force, poked.displacement,
         patch,
@@ -559,8 +562,12 @@ def estimated_material(estimate: Estimate) -> Material:
             "the estimate has no value of the shear modulus or of Poisson's ratio; give a material"
         )
     stds = []
-    for name, one in (("shear modulus", shear), ("Poisson's ratio", ratio)):
-        std = one.std if np.isfinite(one.std) else (one.ci95[1] - one.ci95[0]) / np.sqrt(12.0)
+    for name, constant in (("shear modulus", shear), ("Poisson's ratio", ratio)):
+        std = (
+            constant.std
+            if np.isfinite(constant.std)
+            else (constant.ci95[1] - constant.ci95[0]) / np.sqrt(12.0)
+        )
         if not np.isfinite(std):
             raise InputError(
                 f"the data do not bound the {name}: a prediction would have no uncertainty; measure"

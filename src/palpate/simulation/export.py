@@ -108,12 +108,12 @@ def read_fit(result: Path, session: Path | None = None) -> FitSource:
     """
     check_fit_result(result)
     file = result / "estimate.json"
-    place = session or _session_of(result, list(sums_in(result / INPUTS_FILE)))
+    source = session or _session_of(result, list(sums_in(result / INPUTS_FILE)))
     moduli = result / "modulus.npz"
     modulus = read_modulus(moduli)
     files = (file,) if modulus is None else (file, moduli)
     return FitSource(
-        read_session(place), read_estimate(file), files, _changes(result, place), modulus
+        read_session(source), read_estimate(file), files, _changes(result, source), modulus
     )
 
 
@@ -147,11 +147,11 @@ def read_fitted(result: Path, session: Path | None = None) -> tuple[FitSource, F
     return replace(source, session=fitted_session), surface
 
 
-def _changes(result: Path, place: Path) -> tuple[str, ...]:
+def _changes(result: Path, session: Path) -> tuple[str, ...]:
     """Changes of a session with respect to the inputs of its result."""
     fitted = set(sums_in(result / INPUTS_FILE).values())
-    files = session_files(place)
-    now = file_sums(files, start=place if place.is_dir() else place.parent)
+    files = session_files(session)
+    now = file_sums(files, start=session if session.is_dir() else session.parent)
     changed = [name for name, value in now.items() if value not in fitted]
     if not fitted or not changed:
         return ()
@@ -278,8 +278,8 @@ def export_fit(
     elif form.of_solid is not None:
         # Few nodes are soon filled in: the push takes the most of the time.
         pushed = _PUSHED if nodes is None else _MOSTLY_PUSHED
-        report = part_of(progress, pushed, _FILLED)
-        model = make_solid_model(body, edge=edge, nodes=nodes, progress=report)
+        stage_progress = part_of(progress, pushed, _FILLED)
+        model = make_solid_model(body, edge=edge, nodes=nodes, progress=stage_progress)
         if nodes is not None:
             model, share = matched_to_push(model)
             body = replace(model.body, notes=(*body.notes, _few_nodes(len(model.nodes), share)))
@@ -292,11 +292,11 @@ def export_fit(
 
 
 def _check_nodes(form: Format, edge: float | None, nodes: int | None) -> None:
-    """Refuse a number of nodes where it means nothing."""
+    """Refuse a number of nodes for simulators that take none."""
     if nodes is None:
         return
     if not form.is_linear:
-        linear = ", ".join(name for name, each in FORMATS.items() if each.is_linear)
+        linear = ", ".join(name for name, listed in FORMATS.items() if listed.is_linear)
         raise InputError(
             f"nodes is for simulators that take linear tetrahedra ({linear}), not for"
             f" {form.title}: leave it out"
@@ -339,9 +339,9 @@ def _creep_advice(form: Format, body: EstimatedObject) -> str:
     if body.modulus is not None:
         return f"{advice}; SOFA's takes one modulus for all tetrahedra, so there is none"
     lame, shear, terms = branches
-    at_once = shear + sum(each for each, _ in terms)
-    ratios = (0.5 * lame / (lame + each) for each in (at_once, shear))
-    first, last = (f"{each:.3f}" for each in ratios)
+    at_once = shear + sum(term for term, _ in terms)
+    ratios = (0.5 * lame / (lame + modulus) for modulus in (at_once, shear))
+    first, last = (f"{ratio:.3f}" for ratio in ratios)
     return (
         f"{advice}. The bulk of SOFA's branches does not relax as the object's does: Poisson's"
         f" ratio is {first} at once and {last} in the long term"
@@ -376,12 +376,12 @@ def _facts(form: Format, body: EstimatedObject, model: SolidModel | None) -> str
         "status": estimate.status.value,
         "constants": {
             name: {
-                "value": one.value,
-                "std": one.std,
-                "ci95": list(one.ci95),
+                "value": constant.value,
+                "std": constant.std,
+                "ci95": list(constant.ci95),
                 "determined": estimate.identifiable[name],
             }
-            for name, one in constants.items()
+            for name, constant in constants.items()
         },
         "written": {
             "young_modulus": body.material.young_modulus,

@@ -203,12 +203,12 @@ def make_green_functions(
     SingularSystemError                 the matrix is singular to working precision
     """
     material = estimate if isinstance(estimate, Material) else estimated_material(estimate)
-    if any(one.directions is not None for one in session.supports):
+    if any(support.directions is not None for support in session.supports):
         raise InputError(
             f"{session.path}: a support holds some directions only (rollers); Green's functions are"
             " made of objects whose supports hold all directions"
         )
-    if any(one.stiffness is not None for one in session.supports):
+    if any(support.stiffness is not None for support in session.supports):
         raise InputError(
             f"{session.path}: a support gives (stiffness); Green's functions are made of objects on"
             " rigid supports: leave its stiffness out if it hardly gives"
@@ -234,11 +234,11 @@ def make_green_functions(
         everywhere, slope = everywhere + change, slope + bend
     left_out = chosen[:0]
     if nodes is None:
-        kept = _positive_definite_nodes(_square(everywhere[:, :, chosen]))
-        if len(kept) < len(chosen):
-            left_out, chosen = np.delete(chosen, kept), chosen[kept]
-            everywhere, slope = everywhere[kept], slope[kept][:, :, kept]
-            changes = changes[:, kept][:, :, :, kept]
+        definite = _positive_definite_nodes(_square(everywhere[:, :, chosen]))
+        if len(definite) < len(chosen):
+            left_out, chosen = np.delete(chosen, definite), chosen[definite]
+            everywhere, slope = everywhere[definite], slope[definite][:, :, definite]
+            changes = changes[:, definite][:, :, :, definite]
     square = _square(everywhere[:, :, chosen])
     compliance = 0.5 * (square + square.T)
     asymmetry = float(np.linalg.norm(square - square.T) / np.linalg.norm(square + square.T))
@@ -262,7 +262,7 @@ def _default_nodes(session: Session, most: int | None) -> Int[np.ndarray, " n"]:
     if most is None:
         return free_vertices(session)
     vertices = session.mesh.vertices
-    points = [one.contact.point for one in session.probings]
+    points = [probing.contact.point for probing in session.probings]
     return nearest_nodes(session, np.array(points or [vertices[vertices[:, 2].argmax()]]), most)
 
 
@@ -270,15 +270,15 @@ def _positive_definite_nodes(square: Float[np.ndarray, "m m"]) -> Int[np.ndarray
     """Nodes whose symmetrised compliance is positive definite: nodes are removed one by one, each
     the first at which the Cholesky factorisation fails."""
     symmetric = square + square.T
-    kept = np.arange(len(square) // 3)
-    while len(kept):
-        rows = (3 * kept[:, None] + np.arange(3)).ravel()
+    remaining = np.arange(len(square) // 3)
+    while len(remaining):
+        rows = (3 * remaining[:, None] + np.arange(3)).ravel()
         # Order of the first leading minor that is not positive; 0 if all are.
         order = dpotrf(symmetric[np.ix_(rows, rows)])[1]
         if not order:
             break
-        kept = np.delete(kept, (order - 1) // 3)
-    return kept
+        remaining = np.delete(remaining, (order - 1) // 3)
+    return remaining
 
 
 def free_vertices(session: Session) -> Int[np.ndarray, " n"]:
@@ -391,13 +391,13 @@ def _responses(
         solution = solve(centred.factorised, right.at(ratio))
         right_slope = right.terms[1] + 2 * ratio * right.terms[2] - centred.slope.apply(solution)
         solution_slope = solve(centred.factorised, right_slope)
-        for values, out, kept in (
+        for values, out, rows in (
             (solution, everywhere[part], np.arange(count)), (solution_slope, slope[part], nodes),
         ):  # fmt: skip
             displacement = np.zeros((len(system.surface.mesh.vertices), 3, 3 * len(loads)))
             displacement[free] = values[: 3 * len(free)].reshape(len(free), 3, -1)
             by_load = (
-                displacement[kept].reshape(len(kept), 3, len(loads), 3) / material.shear_modulus
+                displacement[rows].reshape(len(rows), 3, len(loads), 3) / material.shear_modulus
             )
             out[:] = by_load.transpose(2, 3, 0, 1)
     return everywhere, slope
@@ -431,8 +431,10 @@ def _map_responses(
 
     change = at @ (moved - changed.even.displacements(load))
     uneven, even = (
-        with_moduli(each.body, each.log_modulus, each.poisson_ratio - _STEP).displacements(load)
-        for each in (changed.uneven, changed.even)
+        with_moduli(
+            stiffness.body, stiffness.log_modulus, stiffness.poisson_ratio - _STEP
+        ).displacements(load)
+        for stiffness in (changed.uneven, changed.even)
     )
     bend = (change - at @ (uneven - even)).reshape(count, 3, -1)[nodes] / _STEP
     rows = (3 * nodes[:, None] + np.arange(3)).ravel()

@@ -45,7 +45,7 @@ def prony(body: EstimatedObject) -> dict[str, Any] | None:
     at_once = relaxation.unrelaxed
     if relaxation.constant == "shear_modulus":
         at_once *= 2.0 * (1.0 + body.material.poisson_ratio)
-    terms = [(each.share, each.time.value) for each in relaxation.terms]
+    terms = [(term.share, term.time.value) for term in relaxation.terms]
     long_term = at_once * (1.0 - sum(share for share, _ in terms))
     return {"at_once": at_once, "long_term": long_term, "terms": terms}
 
@@ -77,7 +77,7 @@ def abaqus_law(model: SolidModel, young_modulus: float) -> list[str]:
         return ["*ELASTIC", f"{young_modulus:.9g}, {model.body.material.poisson_ratio:.9g}"]
     first, second, bulk = yeoh_constants(model.body, young_modulus)
     volume = (2.0 / bulk, _NO_TERM * 2.0 / bulk, _NO_TERM * 2.0 / bulk)
-    numbers = ", ".join(f"{each:.9g}" for each in (first, second, 0.0, *volume))
+    numbers = ", ".join(f"{number:.9g}" for number in (first, second, 0.0, *volume))
     return ["*HYPERELASTIC, YEOH", numbers]
 
 
@@ -135,8 +135,7 @@ def write_febio_prony(folder: Path, model: SolidModel) -> None:
 def sofa_branches(
     body: EstimatedObject,
 ) -> tuple[float, float, list[tuple[float, float]]] | None:
-    """A spring and branches of Maxwell beside it, which relax as the body does; None of one that is
-    elastic.
+    """A spring and parallel Maxwell branches that relax as the body does; None for an elastic body.
 
     Branches have no bulk of their own: Lame's first constant stays that of the written constants,
     and Poisson's ratio rises as the shear modulus relaxes.

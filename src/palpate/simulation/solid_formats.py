@@ -503,8 +503,8 @@ def write_mujoco(folder: Path, model: SolidModel) -> None:
         tool = push.patch.contact.tool
         radius = _BALL_RADII * push.radius if tool is None else tool.radius
         outward = unit_normals(body.session.mesh)[push.patch.triangle]
-        place = push.point + _BALL_AWAY * radius * outward
-        ball = _BALL.format(place=_number_text(place), radius=radius)
+        position = push.point + _BALL_AWAY * radius * outward
+        ball = _BALL.format(place=_number_text(position), radius=radius)
     text = _MODEL.format(
         ball=ball,
         name=body.session.path.parent.name.replace('"', "").replace("<", "").replace("&", ""),

@@ -164,7 +164,7 @@ def press_slopes(
     if sag is not None:
         forces[:-1, 0] = sag.weight.ravel()
         carried = surface_values(body.solid, tip.point[None])
-        axis = np.stack([carried @ each for each in sag.slopes.T.reshape(-1, len(sag.weight), 3)])
+        axis = np.stack([carried @ slope for slope in sag.slopes.T.reshape(-1, len(sag.weight), 3)])
         forces += potential.forces_by_shift(at, axis[:, 0].T)
     return slopes(potential, at, forces)[:-1]
 
@@ -250,9 +250,9 @@ class _ContactPotential:
     def forces_by_shift(self, at: Unknowns, shift: Float[np.ndarray, "3 k"]) -> Steps:
         """Residual forces per shift of the tip [N]."""
         penetration, normal = self.penetration(at)
-        pressed = (self.stiffness * (penetration > 0.0))[:, None] * (normal @ shift)
-        nodal = _along_normals(self.at_points, normal).T @ pressed
-        return np.vstack([nodal, -(normal @ self.tip.direction) @ pressed])
+        force = (self.stiffness * (penetration > 0.0))[:, None] * (normal @ shift)
+        nodal = _along_normals(self.at_points, normal).T @ force
+        return np.vstack([nodal, -(normal @ self.tip.direction) @ force])
 
     def penetration(self, at: Unknowns) -> tuple[PointScalars, Points]:
         """Penetration of the contact points [m], zero outside, and the tip's normals there."""
@@ -261,13 +261,13 @@ class _ContactPotential:
         return np.maximum(-distance, 0.0), normal
 
     def drawn_in(self, at: Unknowns) -> "_ContactPotential":
-        """The same with what of the surface is within the rim now."""
+        """This potential with the part of the surface that is within the rim now."""
         positions = self.points + self.at_points @ at[:-1].reshape(-1, 3)
         return replace(self, within=_within(self.tip, positions, self.area))
 
     def settled(self, at: Unknowns, solver: Solver | None) -> Unknowns:
-        """Equilibrium with the skin that has moved under the rim by then, from one with that
-        which was there before, and its solver."""
+        """Equilibrium with the skin that is under the rim by then, from an equilibrium with the
+        skin that was there before, and its solver."""
         before = self
         for _ in range(_MOST_DRAWS):
             now = before.drawn_in(at)

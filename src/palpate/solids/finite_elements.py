@@ -226,10 +226,10 @@ def stiffness_matrix(basis: Any, moduli: Float[np.ndarray, "3 3 3 3 *quadrature"
     count, dofs = basis.N, basis.element_dofs.T
     block: Any = 0.0
     # Of every element, for two of its nodes and two components.
-    for k, (own, size) in enumerate(zip(slope, basis.dx.T, strict=True)):
+    for k, (gradient, size) in enumerate(zip(slope, basis.dx.T, strict=True)):
         here = moduli[..., k % moduli.shape[-1]].transpose(4, 1, 0, 2, 3).reshape(-1, 27, 3)
-        half = (here @ own.transpose(0, 2, 1)).reshape(len(own), 3, -1)
-        block = block + (size[:, None, None] * own) @ half
+        half = (here @ gradient.transpose(0, 2, 1)).reshape(len(gradient), 3, -1)
+        block = block + (size[:, None, None] * gradient) @ half
     block = block.reshape(*dofs.shape, 3, 3, -1).transpose(0, 1, 4, 2, 3).reshape(-1, 9)
     pair = (count * dofs[:, :, None] + dofs[:, None, :]).ravel()
     order = np.argsort(pair, kind="stable")
@@ -390,11 +390,11 @@ def half_space_compliance(
     _, position, density, _ = _pressed(solid, point, radius, pressure, piece_middles(_PARTS))
     # Area of each sample, from that of its facet, which is a factor of its weight.
     loaded = density.ravel() > 0.0
-    place, weight = position.reshape(-1, 3)[loaded], density.ravel()[loaded]
-    distance = np.linalg.norm(place - point, axis=1) / radius
+    points, weight = position.reshape(-1, 3)[loaded], density.ravel()[loaded]
+    distance = np.linalg.norm(points - point, axis=1) / radius
     area = weight / pressure(np.minimum(distance, 1.0)) / (2.0 * position.shape[1])
     weight = weight / weight.sum()
-    np.fill_diagonal(apart := cdist(place, place), 1.0)
+    np.fill_diagonal(apart := cdist(points, points), 1.0)
     # The mean of 1 / r between points of two triangles, to second order in their size.
     inverse = 1.0 / apart + 0.5 * _TRIANGLE * (area[:, None] + area) / apart**3
     # And between points of a disc of one's area.
@@ -459,9 +459,9 @@ def surface_values(solid: Solid, points: Points) -> csr_array:
     -------
     (p, n) sparse                   quadratic interpolation; rows add up to 1
     """
-    place = closest_points(boundary_surface(solid.nodes, solid.facets), points)
-    facet, quarter = np.divmod(place.triangle, 4)
-    barycentric = np.einsum("nv,nvb->nb", place.barycentric, ELEMENT_NODES[QUARTERS[quarter]])
+    closest = closest_points(boundary_surface(solid.nodes, solid.facets), points)
+    facet, quarter = np.divmod(closest.triangle, 4)
+    barycentric = np.einsum("nv,nvb->nb", closest.barycentric, ELEMENT_NODES[QUARTERS[quarter]])
     row = np.repeat(np.arange(len(points)), 6)
     return csr_array(
         (quadratic_shapes(barycentric).T.ravel(), (row, solid.facets[facet].ravel())),

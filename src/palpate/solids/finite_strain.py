@@ -317,9 +317,9 @@ def law_changes(
     basis : skfem.Basis             of `quadratic_basis`
     displacement : (n, 3) float [m]
     """
-    own = internal_forces(law, basis, displacement).ravel()
+    forces = internal_forces(law, basis, displacement).ravel()
     changed = [internal_forces(other, basis, displacement).ravel() for other in others]
-    return np.stack([own - other for other in changed], axis=1)
+    return np.stack([forces - other for other in changed], axis=1)
 
 
 def slopes(potential: "Potential", at: Unknowns, forces: Steps) -> Steps:
@@ -456,8 +456,8 @@ def deformation_gradient(
     return np.eye(3)[:, :, None, None] + slopes
 
 
-def _outer(one: Gradient, other: Gradient) -> Moduli:
-    return np.einsum("aAmq,bBmq->aAbBmq", one, other)
+def _outer(first: Gradient, other: Gradient) -> Moduli:
+    return np.einsum("aAmq,bBmq->aAbBmq", first, other)
 
 
 def _crossed(inverse: Gradient) -> Moduli:
@@ -546,12 +546,12 @@ def find_equilibrium(
         size = float(np.linalg.norm(forces))
         if size <= tolerance:
             return at, solver
-        kept = solver is not None and size < wanted
-        solver = solver if kept else potential.solver(at)
+        reused = solver is not None and size < wanted
+        solver = solver if reused else potential.solver(at)
         if solver is None:
             return None
         improved = _shortened(potential, at, forces, solver(forces[:, None])[:, 0])
-        if improved is None and not kept:
+        if improved is None and not reused:
             return None
         at, wanted = (at, 0.0) if improved is None else (improved, _KEPT * size)
     return None

@@ -147,12 +147,12 @@ class GradedStiffness:
         """
         stress, unknowns = self._stress(moved), self.body.unknowns
         strain = self.body.strain.reshape(len(unknowns), -1, 30)
-        place = (unknowns.ravel(), np.arange(unknowns.size))
-        gather = csr_array((np.ones(unknowns.size), place), shape=(len(moved), unknowns.size))
+        entries = (unknowns.ravel(), np.arange(unknowns.size))
+        gather = csr_array((np.ones(unknowns.size), entries), shape=(len(moved), unknowns.size))
         changes = []
         for field in basis.T:
-            own = (stress * field[:, None, None]).reshape(*strain.shape[:2], -1)
-            force = np.swapaxes(strain, 1, 2) @ own
+            scaled = (stress * field[:, None, None]).reshape(*strain.shape[:2], -1)
+            force = np.swapaxes(strain, 1, 2) @ scaled
             changes.append(-self.displacements(gather @ force.reshape(unknowns.size, -1)).T)
         return np.stack(changes, axis=2)
 
@@ -244,7 +244,7 @@ def make_graded_body(solid: Solid, held: Bool[np.ndarray, " n"]) -> GradedBody:
     """
     basis = quadratic_basis(solid)
     # (10 functions, 3 directions, m elements, q points)
-    slope = np.stack([np.asarray(each[0].grad) for each in basis.basis])
+    slope = np.stack([np.asarray(function[0].grad) for function in basis.basis])
     slope = slope.transpose(2, 3, 1, 0)
     strain = np.zeros((*slope.shape[:2], 6, 10, 3))
     for i in range(3):

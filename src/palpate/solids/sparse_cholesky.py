@@ -57,11 +57,11 @@ class Cholesky:
         """
         x = self.half_solve(right)
         for front in reversed(self.fronts):
-            own = x[front.own]
+            unknowns = x[front.own]
             if len(front.later):
-                own -= dgemm(1.0, x[front.later].T, front.coupling, trans_b=True).T
+                unknowns -= dgemm(1.0, x[front.later].T, front.coupling, trans_b=True).T
             x[front.own] = solve_triangular(
-                front.lower, own, lower=True, trans="T", check_finite=False
+                front.lower, unknowns, lower=True, trans="T", check_finite=False
             )
         return x
 
@@ -80,10 +80,12 @@ class Cholesky:
         for front in self.fronts:
             # Loads on a few nodes affect only few fronts.
             if x[front.own].any():
-                own = solve_triangular(front.lower, x[front.own], lower=True, check_finite=False)
-                x[front.own] = own
+                unknowns = solve_triangular(
+                    front.lower, x[front.own], lower=True, check_finite=False
+                )
+                x[front.own] = unknowns
                 if len(front.later):
-                    x[front.later] -= dgemm(1.0, own.T, front.coupling).T
+                    x[front.later] -= dgemm(1.0, unknowns.T, front.coupling).T
         return x
 
 
@@ -162,8 +164,8 @@ def _separator(
     _, upper, low, high = min(sides, key=lambda side: side[0])
     cut = np.zeros(len(nodes), dtype=bool)
     rows, columns = np.flatnonzero(low), np.flatnonzero(high)
-    some, others = _vertex_cover(csr_array(links[rows][:, columns]))
-    cut[rows[some]] = cut[columns[others]] = True
+    covered, others = _vertex_cover(csr_array(links[rows][:, columns]))
+    cut[rows[covered]] = cut[columns[others]] = True
     return nodes[cut], (nodes[~upper & ~cut], nodes[upper & ~cut])
 
 
@@ -194,7 +196,7 @@ def _vertex_cover(links: csr_array) -> tuple[np.ndarray, np.ndarray]:
 def _front(
     rows: csr_array,
     position: np.ndarray,
-    own: np.ndarray,
+    eliminated: np.ndarray,
     later: np.ndarray,
     children: list[tuple[np.ndarray, np.ndarray]],
     work: np.ndarray,
@@ -203,16 +205,16 @@ def _front(
 
     Only the upper triangle of a front's matrix is filled, except in the block of its own unknowns.
     """
-    own, later = _unknowns(own), _unknowns(later)
-    everything = np.concatenate([own, later])
+    eliminated, later = _unknowns(eliminated), _unknowns(later)
+    everything = np.concatenate([eliminated, later])
     position[everything] = np.arange(len(everything))
     size = len(everything)
     full = work[: size * size].reshape(size, size)
-    full[len(own) :] = 0.0
-    full[: len(own)] = rows[own][:, everything].toarray()
+    full[len(eliminated) :] = 0.0
+    full[: len(eliminated)] = rows[eliminated][:, everything].toarray()
     for nodes, added in children:
-        _add_kernel(full, len(own), position[_unknowns(nodes)], added)
-    k = len(own)
+        _add_kernel(full, len(eliminated), position[_unknowns(nodes)], added)
+    k = len(eliminated)
     try:
         lower = cholesky(full[:k, :k], lower=True, check_finite=False)
     except LinAlgError as error:
@@ -222,22 +224,22 @@ def _front(
         ) from error
     if k == size:
         # The last one: BLAS refuses empty matrices.
-        return _Front(own, later, lower, np.empty((k, 0))), np.empty((0, 0))
+        return _Front(eliminated, later, lower, np.empty((k, 0))), np.empty((0, 0))
     coupling = solve_triangular(lower, full[:k, k:], lower=True, check_finite=False)
     # Its upper triangle.
     schur = dsyrk(1.0, coupling, trans=True, lower=True).T
     np.subtract(full[k:, k:], schur, out=schur)
-    return _Front(own, later, lower, coupling), schur
+    return _Front(eliminated, later, lower, coupling), schur
 
 
 @njit(cache=True, error_model="numpy")
-def _add_kernel(full: np.ndarray, own: int, at: np.ndarray, added: np.ndarray) -> None:
+def _add_kernel(full: np.ndarray, eliminated: int, at: np.ndarray, added: np.ndarray) -> None:
     """Add a symmetric matrix at indices `at`: to the upper triangle, and to the whole own block."""
     for i in range(len(at)):
         for j in range(i, len(at)):
             first, last = min(at[i], at[j]), max(at[i], at[j])
             full[first, last] += added[i, j]
-            if last < own and first < last:
+            if last < eliminated and first < last:
                 full[last, first] += added[i, j]
 
 

@@ -165,16 +165,16 @@ def make_solid(
     check_solid_size(mesh, edge)
     spacing = _make_spacing(edge, fine)
     shell = _surface_points(mesh, spacing, closest_points(mesh, marked).position)
-    wall = np.concatenate([_NONE, *(_surface_points(each, spacing, _NONE) for each in walls)])
+    wall = np.concatenate([_NONE, *(_surface_points(surface, spacing, _NONE) for surface in walls)])
     wall = _thinned(_well_inside(mesh, wall, spacing), spacing)
-    report = part_of(progress, 0.0, _PLACED)
-    inner = _volume_points(mesh, spacing, np.concatenate([shell, wall]), walls, report)
+    stage_progress = part_of(progress, 0.0, _PLACED)
+    inner = _volume_points(mesh, spacing, np.concatenate([shell, wall]), walls, stage_progress)
     if len(shell) < 4 or not len(inner):
         raise MeshError(
             f"an edge of {1e3 * edge:.3g} mm leaves no point inside the body; use a smaller edge"
         )
-    report = part_of(progress, _PLACED, _FILLED)
-    points, tetrahedra = _tetrahedra(mesh, shell, wall, inner, spacing, report)
+    stage_progress = part_of(progress, _PLACED, _FILLED)
+    points, tetrahedra = _tetrahedra(mesh, shell, wall, inner, spacing, stage_progress)
     return quadratic_solid(points, tetrahedra, mesh=mesh, largest=_MAX_DEVIATION * edge)
 
 
@@ -568,9 +568,9 @@ def _thinned(points: Points, spacing: _Spacing) -> Float[np.ndarray, "k 3"]:
     tree = cKDTree(points)
     reach = _NEAREST * spacing(points)
     alive = np.ones(len(points), dtype=bool)
-    kept = []
+    chosen = []
     for i in range(len(points)):
         if alive[i]:
-            kept.append(i)
+            chosen.append(i)
             alive[tree.query_ball_point(points[i], reach[i], return_sorted=False)] = False
-    return points[kept]
+    return points[chosen]

@@ -203,7 +203,7 @@ def _set_support(document: Any, session: Session, file: str) -> None:
 def _set_contact(document: Any, session: Session, name: str, point: Vector3) -> None:
     probes = document["probe"]
     probes = probes if isinstance(probes, list) else [probes]
-    contact = next(one for one in probes if one["name"] == name).get("contact", {})
+    contact = next(probe for probe in probes if probe["name"] == name).get("contact", {})
     if "point" not in contact:
         raise InputError(
             f"{session.path}: the contact of probing '{name}' is no point; change it there"

@@ -102,7 +102,7 @@ def frames(session: Session, probing: str) -> list[str]:
     -------
     list of str                     empty if it has no pictures
     """
-    images = next(one for one in session.probings if one.name == probing).images
+    images = next(candidate for candidate in session.probings if candidate.name == probing).images
     return [] if images is None else [images.rest, *images.loaded]
 
 

@@ -74,7 +74,7 @@ class LookPanel:
     def __init__(self, gui: Any, background: BackgroundWork, stage: Stage) -> None:
         self._background, self._stage = background, stage
         self._override: dict[str, FittedProbing] = {}
-        names = [one.name for one in background.probings] or ["-"]
+        names = [probing.name for probing in background.probings] or ["-"]
         self.probing = gui.add_dropdown("probing", names, hint="Which push is shown.")
         self.field = gui.add_dropdown("colours", FIELDS)
         self.scale = gui.add_html("")
@@ -101,9 +101,9 @@ class LookPanel:
     def shown(self) -> FittedProbing | None:
         """The selected probing, with the prediction at the sliders' constants if set."""
         name = self.probing.value
-        for one in self._background.probings:
-            if one.name == name:
-                return self._override.get(name, one)
+        for probing in self._background.probings:
+            if probing.name == name:
+                return self._override.get(name, probing)
         return None
 
     def override(self, probings: dict[str, FittedProbing]) -> None:
@@ -112,7 +112,7 @@ class LookPanel:
         self.draw()
 
     def _initial_magnification(self) -> int:
-        displacement = [one.displacement for one in self._background.probings]
+        displacement = [probing.displacement for probing in self._background.probings]
         largest = max((float(np.nanmax(np.abs(m), initial=0.0)) for m in displacement), default=0.0)
         if not largest:
             return 1
@@ -128,27 +128,27 @@ class LookPanel:
     def _draw(self) -> None:
         for name, toggle in self.toggles.items():
             self._stage.show(name, toggle.value)
-        one = self.shown
-        if one is None:
+        probing = self.shown
+        if probing is None:
             return
         magnification, what = float(self.magnification.value), self.field.value
-        field = coloured_field(one, what)
+        field = coloured_field(probing, what)
         self._stage.draw_points(field, magnification)
-        self._stage.draw_probings(self._background.probings, one.name)
-        self._draw_body(one, what, magnification)
+        self._stage.draw_probings(self._background.probings, probing.name)
+        self._draw_body(probing, what, magnification)
         known = field is not None
         self.scale.content = ""
         if field is not None:
             self.scale.content = scale_html(_numbers(field.top, field.unit), field.cmap)
         self.note.content = "" if known else text_html(_why(what), italic=True)
 
-    def _draw_body(self, one: FittedProbing, what: str, magnification: float) -> None:
+    def _draw_body(self, probing: FittedProbing, what: str, magnification: float) -> None:
         """Draw the surface deformed by the model; coloured if that displacement is selected."""
-        if one.surface is None:
+        if probing.surface is None:
             self._stage.draw_body(np.zeros_like(self._stage.subject.session.mesh.vertices), None)
             return
-        colours = length_colours(one.surface)[0] if what == PREDICTED else None
-        self._stage.draw_body(magnification * one.surface, colours)
+        colours = length_colours(probing.surface)[0] if what == PREDICTED else None
+        self._stage.draw_body(magnification * probing.surface, colours)
 
 
 def _why(what: str) -> str:
@@ -264,7 +264,9 @@ class MaterialPanel:
             self.text.content = text_html(str(error), italic=True)
             return
         shown = enumerate(self._background.probings)
-        self._look.override({one.name: with_prediction(one, held, k) for k, one in shown})
+        self._look.override(
+            {probing.name: with_prediction(probing, held, k) for k, probing in shown}
+        )
         self._show_numbers(nu, modulus, held.value - fitted.model.value)
 
     def _show_numbers(self, nu: float, modulus: float, misfit: float = 0.0) -> None:
@@ -280,24 +282,24 @@ class MaterialPanel:
             self._image.image = self._plot.marked(nu, modulus)
 
 
-def rms_text(one: FittedProbing | None) -> str:
+def rms_text(probing: FittedProbing | None) -> str:
     """Root mean square residual of a probing, without outliers, as text.
 
     Parameters
     ----------
-    one : FittedProbing or None
+    probing : FittedProbing or None
 
     Returns
     -------
     str                             empty if there is no probing
     """
-    if one is None:
+    if probing is None:
         return ""
-    used = np.isfinite(one.displacement).all(axis=1) & (one.weight.max(axis=1) >= 0.1)
-    left = np.linalg.norm((one.displacement - one.predicted)[used], axis=1)
+    used = np.isfinite(probing.displacement).all(axis=1) & (probing.weight.max(axis=1) >= 0.1)
+    left = np.linalg.norm((probing.displacement - probing.predicted)[used], axis=1)
     rms = float(np.sqrt(np.mean(left**2))) if used.any() else 0.0
     factor, unit = length_unit(rms)
-    return f"rms difference in {one.name}: {rms / factor:.3g} {unit}"
+    return f"rms difference in {probing.name}: {rms / factor:.3g} {unit}"
 
 
 class PicturesPanel:
@@ -412,16 +414,16 @@ class SettingPanel:
     def clicked(self, point: Vector3) -> None:
         """Apply a click at a point of the surface at rest [m]."""
         session, what = self._stage.subject.session, self.click.value
-        place = closest_points(session.mesh, point[None])
+        closest = closest_points(session.mesh, point[None])
         if what == _CONTACT:
-            self.draft = self.draft.with_contact(self._look.probing.value, place.position[0])
+            self.draft = self.draft.with_contact(self._look.probing.value, closest.position[0])
         else:
             held = self.draft.support
             held = session.held_triangles if held is None else held
-            near = triangles_near(session.mesh, place.position[0], 1e-3 * float(self.near.value))
-            near = np.append(near, place.triangle[0])
+            near = triangles_near(session.mesh, closest.position[0], 1e-3 * float(self.near.value))
+            near = np.append(near, closest.triangle[0])
             if what == _FACE:
-                held = flat_face(session.mesh, int(place.triangle[0]))
+                held = flat_face(session.mesh, int(closest.triangle[0]))
             elif what == _HOLD:
                 held = np.union1d(held, near)
             else:

@@ -239,7 +239,7 @@ def heading(subject: Subject) -> str:
     """
     estimate = subject.estimate
     if estimate is None:
-        measured = [one.displacement is not None for one in subject.session.probings]
+        measured = [probing.displacement is not None for probing in subject.session.probings]
         return "session, fitted while you look" if measured and all(measured) else "session"
     return f"result: {verdict_text(estimate)}"
 

@@ -119,7 +119,7 @@ class Stage:
     def views(self) -> tuple[str, ...]:
         """Names of the available views."""
         rig = self.subject.rig
-        return (OBJECT,) if rig is None else (OBJECT, *(one.name for one in rig.cameras))
+        return (OBJECT,) if rig is None else (OBJECT, *(camera.name for camera in rig.cameras))
 
     def look_from(self, view: str) -> None:
         """Set the tab's view: from the side of the first probing, or that of a camera."""
@@ -259,16 +259,16 @@ class Stage:
     def draw_probings(self, probings: tuple[FittedProbing, ...], chosen: str) -> None:
         """Draw the force of every probing; the chosen one in orange, with its magnitude."""
         starts = {}
-        for one in probings:
-            newtons = float(np.linalg.norm(one.force))
+        for probing in probings:
+            newtons = float(np.linalg.norm(probing.force))
             if not newtons:
                 continue
-            end, here = 1e3 * one.contact, one.name == chosen
-            start = end - _ARROW * self.size * one.force / newtons
+            end, here = 1e3 * probing.contact, probing.name == chosen
+            start = end - _ARROW * self.size * probing.force / newtons
             colour = rgb(ORANGE if here else GREY)
-            name = f"/probings/{one.name}/force"
+            name = f"/probings/{probing.name}/force"
             draw_arrows(self.scene, name, start[None], end[None], colour, self.size)
-            starts[one.name] = start, f"{one.name}: {newtons:.3g} N" if here else ""
+            starts[probing.name] = start, f"{probing.name}: {newtons:.3g} N" if here else ""
         for number, (text, start) in enumerate(merged_labels(starts, _NEAR * self.size)):
             self.scene.add_label(f"/probings/label {number}", text, position=tuple(start))
 
@@ -335,17 +335,17 @@ def merged_labels(
     """
     places: list[tuple[Vector3, list[str]]] = []
     for name, (start, _) in starts.items():
-        for place, names in places:
-            if np.linalg.norm(start - place) < near:
+        for position, names in places:
+            if np.linalg.norm(start - position) < near:
                 names.append(name)
                 break
         else:
             places.append((start, [name]))
     labels = []
-    for place, names in places:
+    for position, names in places:
         more = f" and {len(names) - 1} more" if len(names) > 1 else ""
         label = next((text for name in names if (text := starts[name][1])), names[0])
-        labels.append((label + more, place))
+        labels.append((label + more, position))
     return labels
 
 
@@ -436,7 +436,7 @@ def _facets(corners: Float[np.ndarray, "t 3 3"], colours: Float[np.ndarray, "t 3
 
 
 def modulus_colours(modulus: ModulusMap) -> Colours:
-    """Colour of every element: red stiffer, blue softer, grey where the data do not tell.
+    """Colour of every element: red stiffer, blue softer, grey where the data do not determine it.
 
     Parameters
     ----------

@@ -81,12 +81,14 @@ class _Shown:
     @property
     def arrow(self) -> np.ndarray | None:
         """Tail and tip of the force's arrow, (2, 3) [m]; None without a force."""
-        one = self.probing
-        newtons = 0.0 if one is None else float(np.linalg.norm(one.force))
-        if one is None or not newtons:
+        probing = self.probing
+        newtons = 0.0 if probing is None else float(np.linalg.norm(probing.force))
+        if probing is None or not newtons:
             return None
         size = bounding_diagonal(self.subject.session.mesh)
-        return np.array([one.contact - _ARROW * size * one.force / newtons, one.contact])
+        return np.array(
+            [probing.contact - _ARROW * size * probing.force / newtons, probing.contact]
+        )
 
     @property
     def middle(self) -> Vector3:
@@ -156,23 +158,23 @@ def _check_kind(path: Path, kinds: tuple[str, ...]) -> None:
 
 def _shown(subject: Subject, probe: str | None) -> _Shown:
     probings = shown_probings(subject)
-    names = [one.name for one in probings]
+    names = [probing.name for probing in probings]
     if probe is not None and probe not in names:
         raise InputError(f"there is no probing '{probe}'; there are: {', '.join(names) or 'none'}")
     if not probings:
         return _Shown(subject, None, None, 1.0)
-    one = probings[names.index(probe) if probe else 0]
-    field = coloured_field(one, MEASURED if one.surface is None else PREDICTED)
-    displacement = field.displacement if one.surface is None and field else one.surface
+    probing = probings[names.index(probe) if probe else 0]
+    field = coloured_field(probing, MEASURED if probing.surface is None else PREDICTED)
+    displacement = field.displacement if probing.surface is None and field else probing.surface
     largest = 0.0 if displacement is None else float(np.linalg.norm(displacement, axis=1).max())
-    if one.surface is not None and field is not None:
+    if probing.surface is not None and field is not None:
         # The scale ends at the largest drawn value, so that no colour is ambiguous.
-        lengths = _face_lengths(subject.session.mesh, one.surface)
+        lengths = _face_lengths(subject.session.mesh, probing.surface)
         field = replace(field, top=max(float(lengths.max()), 1e-6))
     size = bounding_diagonal(subject.session.mesh)
     # Large deformation is drawn as it is.
     magnification = max(_SHOWN * size / largest, 1.0) if largest else 1.0
-    return _Shown(subject, one, field, magnification)
+    return _Shown(subject, probing, field, magnification)
 
 
 def _reach(shown: _Shown, directions: Sequence[Vector3]) -> Float[np.ndarray, "2"]:
@@ -180,7 +182,7 @@ def _reach(shown: _Shown, directions: Sequence[Vector3]) -> Float[np.ndarray, "2
     drawn, room = shown.drawn, (1.0 - _FREE) * _FIGURE * _PART[2:]
     arrow = drawn.vertices[:0] if shown.arrow is None else shown.arrow
     points = np.concatenate([drawn.vertices, arrow]) - shown.middle
-    seen = [projected(make_view(drawn, one), points)[:, :2] for one in directions]
+    seen = [projected(make_view(drawn, direction), points)[:, :2] for direction in directions]
     return np.asarray(1e3 * float((np.abs(seen) / room).max()) * _FIGURE * _PART[2:])
 
 

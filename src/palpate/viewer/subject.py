@@ -99,9 +99,12 @@ def shown_probings(subject: Subject) -> tuple[FittedProbing, ...]:
     -------
     tuple of FittedProbing          in the session's order
     """
-    fitted = {one.name: one for one in subject.surface.probings} if subject.surface else {}
+    fitted = (
+        {probing.name: probing for probing in subject.surface.probings} if subject.surface else {}
+    )
     return tuple(
-        fitted.get(one.name) or _measured(one, subject.session) for one in subject.session.probings
+        fitted.get(probing.name) or _measured(probing, subject.session)
+        for probing in subject.session.probings
     )
 
 
@@ -227,7 +230,9 @@ class BackgroundWork:
 
     def _work(self) -> None:
         session = self.subject.session
-        if session.probings and all(one.displacement is not None for one in session.probings):
+        if session.probings and all(
+            probing.displacement is not None for probing in session.probings
+        ):
             self._fit(session)
         else:
             self.model_text = (
@@ -241,12 +246,12 @@ class BackgroundWork:
     def _fit(self, session: Session) -> None:
         """Fit the session, for the model that the sliders query."""
 
-        def report(text: str, share: float) -> None:
+        def show_progress(text: str, share: float) -> None:
             self.model_text = f"{text}, {share:.0%}"
             self._changed()
 
         try:
-            fitted = fit_session(session, cache=self.cache, progress=report)
+            fitted = fit_session(session, cache=self.cache, progress=show_progress)
         except PalpateError as error:
             self.model_text = f"the session cannot be fitted: {error}"
             return
@@ -257,12 +262,12 @@ class BackgroundWork:
     def _prepare_touch(self, session: Session) -> None:
         """Compute the Green's functions of the part that can be touched."""
 
-        def report(text: str, share: float) -> None:
+        def show_progress(text: str, share: float) -> None:
             self.touch_text = f"preparing the surface: {text}, {share:.0%}"
             self._changed()
 
         material = self._material()
-        report("integrals", 0.0)
+        show_progress("integrals", 0.0)
         try:
             self.green = make_green_functions(
                 session,
@@ -270,7 +275,7 @@ class BackgroundWork:
                 modulus=self.subject.modulus,
                 most=_touchable(session),
                 cache=self.cache,
-                progress=report,
+                progress=show_progress,
             )
             self.touch_text = self.green.left_out_text
         except PalpateError as error:

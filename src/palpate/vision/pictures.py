@@ -128,8 +128,8 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
     cameras_of: dict[str, list[str]] = {}
     for camera in rig.cameras:
         path = _picture_file(camera, pattern, folder, what)
-        place = f"{what}, camera '{camera.name}'"
-        levels, fraction, remarks = _read_picture(camera, path, place)
+        label = f"{what}, camera '{camera.name}'"
+        levels, fraction, remarks = _read_picture(camera, path, label)
         grey.append(levels)
         # The first picture tells: the others are as large, and may be many.
         _check_memory(len(rig.cameras), grey, what)
@@ -145,7 +145,7 @@ def read_pictures(rig: Rig, pattern: str, *, folder: Path, what: str) -> Picture
 
 def _check_memory(cameras: int, grey: list[np.ndarray], what: str) -> None:
     """Refuse pictures that are too many or too large, by those that were read."""
-    pixels = sum(each.size for each in grey) + (cameras - len(grey)) * grey[-1].size
+    pixels = sum(levels.size for levels in grey) + (cameras - len(grey)) * grey[-1].size
     check_memory_for(
         f"{what}: {counted(cameras, 'picture')} of {pixels / 1e6:.0f} million pixels together",
         _BYTES_PER_PIXEL * pixels, "leave cameras out, or calibrate them for smaller pictures",
@@ -173,9 +173,9 @@ def _picture_file(camera: Camera, pattern: str, folder: Path, what: str) -> Path
     path = picture_path(camera, pattern, folder)
     if os.path.exists(path):
         return path
-    place = f"{what}, camera '{camera.name}': {path}: no such file"
+    label = f"{what}, camera '{camera.name}': {path}: no such file"
     if not os.path.isdir(path.parent):
-        raise RecordError(f"{place}, for there is no folder {path.parent}")
+        raise RecordError(f"{label}, for there is no folder {path.parent}")
     beside = sorted(entry.name for entry in path.parent.iterdir())
     head, *rest = (re.escape(part) for part in Path(pattern).name.split(_CAMERA_FIELD))
     expression = re.compile("(.+)".join([head, *rest]))
@@ -186,7 +186,7 @@ def _picture_file(camera: Camera, pattern: str, folder: Path, what: str) -> Path
         hint = f"; near it are {_listed(near)}"
     else:
         hint = f"; the folder has {_listed(beside)}" if beside else "; the folder is empty"
-    raise RecordError(f"{place}{hint}: check the pattern and the names of the cameras in the rig")
+    raise RecordError(f"{label}{hint}: check the pattern and the names of the cameras in the rig")
 
 
 def _listed(names: list[str]) -> str:
@@ -195,11 +195,11 @@ def _listed(names: list[str]) -> str:
 
 
 def _read_picture(
-    camera: Camera, path: Path, place: str
+    camera: Camera, path: Path, label: str
 ) -> tuple[Float[np.ndarray, "rows columns"], float, list[str]]:
     """Grey levels, saturated fraction and remarks of one file."""
-    stored, place = read_stored(path, place, camera)
-    levels, remarks = _grey_levels(stored, place)
+    stored, label = read_stored(path, label, camera)
+    levels, remarks = _grey_levels(stored, label)
     return levels, _saturated_fraction(stored), remarks
 
 
@@ -219,23 +219,23 @@ def read_grey(path: Path) -> Float[np.ndarray, "rows columns"]:
     RecordError                     the file is missing, damaged, of an unknown type, holds several
                                     pictures, values that are not finite, or one grey everywhere
     """
-    stored, place = read_stored(path, "picture", None)
-    return _grey_levels(stored, place)[0]
+    stored, label = read_stored(path, "picture", None)
+    return _grey_levels(stored, label)[0]
 
 
-def read_stored(path: Path, place: str, camera: Camera | None) -> tuple[np.ndarray, str]:
+def read_stored(path: Path, label: str, camera: Camera | None) -> tuple[np.ndarray, str]:
     """Pixels of a file as stored, and the file's name for messages.
 
     Parameters
     ----------
     path : Path
-    place : str                     what the file is, before its name in messages
+    label : str                     what the file is, before its name in messages
     camera : Camera or None         whose size the picture must have
 
     Returns
     -------
     pixels : array                  as `decode_picture` gives them
-    place : str                     with the file's name
+    label : str                     with the file's name
 
     Raises
     ------
@@ -246,50 +246,50 @@ def read_stored(path: Path, place: str, camera: Camera | None) -> tuple[np.ndarr
     try:
         content = read_bytes(path)
     except RecordError as error:
-        raise RecordError(f"{place}: {error}") from error
-    place = f"{place}: {path}"
+        raise RecordError(f"{label}: {error}") from error
+    label = f"{label}: {path}"
     if size := claimed_size(content):
-        _check_size(camera, size, place)
+        _check_size(camera, size, label)
     try:
         stored = decode_picture(content)
     except RecordError as error:
-        raise RecordError(f"{place}: {error}") from error
-    _check_size(camera, (stored.shape[1], stored.shape[0]), place)
-    return stored, place
+        raise RecordError(f"{label}: {error}") from error
+    _check_size(camera, (stored.shape[1], stored.shape[0]), label)
+    return stored, label
 
 
-def _check_size(camera: Camera | None, size: tuple[int, int], place: str) -> None:
+def _check_size(camera: Camera | None, size: tuple[int, int], label: str) -> None:
     columns, rows = size
     if columns * rows > _MAX_PIXELS:
         raise RecordError(
-            f"{place}: has {columns} x {rows} pixels, more than any camera; is it a picture of one?"
+            f"{label}: has {columns} x {rows} pixels, more than any camera; is it a picture of one?"
         )
     if camera is not None and camera.size not in (None, (columns, rows)):
         turned = "; the picture seems to be turned" if camera.size == (rows, columns) else ""
         raise CalibrationError(
-            f"{place}: has {columns} x {rows} pixels, the camera was calibrated with"
+            f"{label}: has {columns} x {rows} pixels, the camera was calibrated with"
             f" {camera.size[0]} x {camera.size[1]} (columns x rows){turned}; a calibration holds"
             " for pictures of its own size only, neither cut nor scaled"
         )
 
 
 def _grey_levels(
-    stored: np.ndarray, place: str
+    stored: np.ndarray, label: str
 ) -> tuple[Float[np.ndarray, "rows columns"], list[str]]:
     """Convert stored pixels to grey levels from 0 to 255; also returns remarks on what was done."""
     if stored.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
         raise RecordError(
-            f"{place}: has grey levels of type {stored.dtype}; must be of 8 or 16 bits without"
+            f"{label}: has grey levels of type {stored.dtype}; must be of 8 or 16 bits without"
             " sign, or floating-point"
         )
     channels = 1 if stored.ndim == 2 else stored.shape[2]
     if channels not in (1, 3, 4):
-        raise RecordError(f"{place}: has {channels} channels; must be grey, RGB or RGB and alpha")
+        raise RecordError(f"{label}: has {channels} channels; must be grey, RGB or RGB and alpha")
     remarks = []
     if channels == 4:
         remarks.append("the alpha channel was left out")
         stored = stored[..., :3]
-    _check_contents(stored, place)
+    _check_contents(stored, label)
     grey = _single(stored)
     if channels > 1:
         remarks.append("colours were turned into luminance (0.299 R + 0.587 G + 0.114 B)")
@@ -302,19 +302,19 @@ def _grey_levels(
     return np.ascontiguousarray(grey), remarks
 
 
-def _check_contents(stored: np.ndarray, place: str) -> None:
+def _check_contents(stored: np.ndarray, label: str) -> None:
     """Raise if grey levels are not finite or all the same."""
     whole = np.issubdtype(stored.dtype, np.integer)
     missing = 0 if whole else int((~np.isfinite(_single(stored))).sum())
     if missing:
         raise RecordError(
-            f"{place}: has {missing} grey levels that are not finite; every pixel needs a number"
+            f"{label}: has {missing} grey levels that are not finite; every pixel needs a number"
         )
     low, high = float(stored.min()), float(stored.max())
     if high - low <= (_MAX_CONSTANT_RANGE if whole else 0.0):
         what = "black" if low == 0.0 else "of one grey"
         raise RecordError(
-            f"{place}: is {what} all over (grey levels {low:g} to {high:g}); nothing can be"
+            f"{label}: is {what} all over (grey levels {low:g} to {high:g}); nothing can be"
             " followed in it: check exposure, light and lens cap, or leave it out"
         )
 
@@ -405,7 +405,7 @@ def _orientation(content: bytes) -> int:
     Exif 2.32, 4.6.4, tag Orientation.
     """
     places = [content.find(mark) + len(mark) for mark in _EXIF_MARKS if mark in content]
-    blocks = [content[place : place + _EXIF_BYTES] for place in places]
+    blocks = [content[start : start + _EXIF_BYTES] for start in places]
     for block in (content, *blocks):
         if block.startswith(_TIFF):
             with suppress(struct.error):
@@ -458,9 +458,9 @@ def decode_picture(content: bytes) -> np.ndarray:
     if content.startswith(_JPEG) and content.rfind(_END_OF_IMAGE) < content.rfind(_START_OF_SCAN):
         damage.insert(0, "it has no end-of-image marker")
     if damage or pixels is None:
-        said = f" ({damage[0]})" if damage else ""
+        detail = f" ({damage[0]})" if damage else ""
         raise RecordError(
-            f"is cut off or damaged, or of a kind that cannot be decoded{said}; it has"
+            f"is cut off or damaged, or of a kind that cannot be decoded{detail}; it has"
             f" {len(content)} bytes: copy or record it again"
         )
     return pixels
@@ -472,13 +472,13 @@ def _is_cut_png(content: bytes) -> bool:
     if not content.startswith(_PNG):
         return False
     # A chunk is its length, its name of four letters, so many bytes, and their checksum.
-    place = len(_PNG)
-    while place + 8 <= len(content):
-        length, name = struct.unpack_from(">I4s", content, place)
-        place += 12 + length
+    offset = len(_PNG)
+    while offset + 8 <= len(content):
+        length, name = struct.unpack_from(">I4s", content, offset)
+        offset += 12 + length
         if name == b"IEND":
             break
-    return place > len(content)
+    return offset > len(content)
 
 
 @contextmanager
@@ -490,7 +490,7 @@ def _codec_messages() -> Iterator[list[str]]:
     messages: list[str] = []
     with _ONE_AT_A_TIME, tempfile.TemporaryFile() as aside:
         try:
-            kept = os.dup(_ERROR_STREAM)
+            original = os.dup(_ERROR_STREAM)
         except OSError:  # standard error is closed
             yield messages
             return
@@ -498,8 +498,8 @@ def _codec_messages() -> Iterator[list[str]]:
             os.dup2(aside.fileno(), _ERROR_STREAM)
             yield messages
         finally:
-            os.dup2(kept, _ERROR_STREAM)
-            os.close(kept)
+            os.dup2(original, _ERROR_STREAM)
+            os.close(original)
         aside.seek(0)
         lines = aside.read().decode(errors="replace").splitlines(keepends=True)
         messages += [line for line in lines if _FROM_CODECS.search(line)]
@@ -510,16 +510,16 @@ def _codec_messages() -> Iterator[list[str]]:
 
 def _jpeg_size(content: bytes) -> tuple[int, int] | None:
     """Columns and rows from the first frame header, searched segment by segment."""
-    place = 2
+    offset = 2
     while True:
-        mark, kind, length = struct.unpack_from(">BBH", content, place)
+        mark, kind, length = struct.unpack_from(">BBH", content, offset)
         if mark != 0xFF:
             return None
         if kind in _FRAMES:
-            rows, columns = struct.unpack_from(">HH", content, place + 5)
+            rows, columns = struct.unpack_from(">HH", content, offset + 5)
             return columns, rows
         # A marker may be preceded by any number of 0xFF.
-        place += 1 if kind == 0xFF else 2 + length
+        offset += 1 if kind == 0xFF else 2 + length
 
 
 def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
@@ -527,12 +527,12 @@ def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
     order = "<" if content.startswith(b"II") else ">"
     large = content[2:4] in (b"+\0", b"\0+")
     head, count, entry, value = ("Q", "Q", 20, 12) if large else ("I", "H", 12, 8)
-    (place,) = struct.unpack_from(order + head, content, 8 if large else 4)
+    (offset,) = struct.unpack_from(order + head, content, 8 if large else 4)
     seen = set()
-    while 0 < place < len(content) and place not in seen:
-        seen.add(place)
-        (entries,) = struct.unpack_from(order + count, content, place)
-        start = place + struct.calcsize(order + count)
+    while 0 < offset < len(content) and offset not in seen:
+        seen.add(offset)
+        (entries,) = struct.unpack_from(order + count, content, offset)
+        start = offset + struct.calcsize(order + count)
         fields = {}
         for k in range(min(entries, 4096)):
             tag, kind = struct.unpack_from(order + "HH", content, start + k * entry)
@@ -541,7 +541,7 @@ def _tiff_directories(content: bytes) -> Iterator[dict[int, int]]:
                 (fields[tag],) = struct.unpack_from(number, content, start + k * entry + value)
         yield fields
         end = min(start + entries * entry, len(content))
-        (place,) = struct.unpack_from(order + head, content, end)
+        (offset,) = struct.unpack_from(order + head, content, end)
 
 
 def video_frame_count(path: Path) -> int:

@@ -333,9 +333,9 @@ def dense_maps(
         start = np.rint(offset + flow.step * low).astype(int)
         stop = np.minimum(start + flow.step * (high - low) + 1, [columns, rows])
         row, column = np.mgrid[start[1] : stop[1], start[0] : stop[0]]
-        place = [(row - start[1]) / flow.step, (column - start[0]) / flow.step]
+        position = [(row - start[1]) / flow.step, (column - start[0]) / flow.step]
         maps[:, row, column] = [
-            map_coordinates(plane, place, order=1, mode="nearest") for plane in grid
+            map_coordinates(plane, position, order=1, mode="nearest") for plane in grid
         ]
         maps[:, maps[4] < 1.0 - _ROUNDING] = np.nan
     return np.moveaxis(maps[:3], 0, -1).astype(np.float32), maps[3].astype(np.float32)

@@ -111,9 +111,9 @@ def remapped(
     column, row = rectified.maps[index]
     rows, columns = picture.shape
     inside = (column >= 0) & (column <= columns - 1) & (row >= 0) & (row <= rows - 1)
-    place = np.stack([column[inside], row[inside]], axis=1).astype(np.float64)
+    position = np.stack([column[inside], row[inside]], axis=1).astype(np.float64)
     result = np.full(column.shape, np.nan, dtype=np.float32)
-    result[inside] = interpolate(make_spline_picture(picture), place)
+    result[inside] = interpolate(make_spline_picture(picture), position)
     return result
 
 
@@ -195,8 +195,8 @@ def _extent(
             f"camera '{camera.name}' looks elsewhere than the others: nothing of its picture is"
             " left after rectification. Check its R and t, or match without rectification"
         )
-    place = turned[:, :2] / turned[:, 2:]
-    return np.stack([place.min(axis=0), place.max(axis=0)])
+    position = turned[:, :2] / turned[:, 2:]
+    return np.stack([position.min(axis=0), position.max(axis=0)])
 
 
 def _canvas(
@@ -212,9 +212,9 @@ def _canvas(
     span[across] = (extents[0][1] - extents[0][0])[across]
     centres = [0.5 * (extent[0] + extent[1]) for extent in extents]
     origins = [centres[0] - 0.5 * span]
-    for which, centre in zip(axis, centres[1:], strict=True):
+    for along, centre in zip(axis, centres[1:], strict=True):
         origin = origins[0].copy()
-        origin[which] = centre[which] - 0.5 * span[which]
+        origin[along] = centre[along] - 0.5 * span[along]
         origins.append(origin)
     columns, rows = (int(np.ceil(length)) + 1 for length in span)
     return (columns, rows), origins
@@ -229,6 +229,6 @@ def _map(
     back = np.linalg.inv(turned.matrix @ turned.T_camera_object[:3, :3])
     pose = camera.T_camera_object.copy()
     pose[:3, 3] = 0.0
-    place = project(replace(camera, T_camera_object=pose), pixels @ back.T)
-    place = np.where(np.isnan(place), _OUTSIDE, np.clip(place, _OUTSIDE, -_OUTSIDE))
-    return np.ascontiguousarray(place.T.reshape(2, *size[::-1]), dtype=np.float32)
+    position = project(replace(camera, T_camera_object=pose), pixels @ back.T)
+    position = np.where(np.isnan(position), _OUTSIDE, np.clip(position, _OUTSIDE, -_OUTSIDE))
+    return np.ascontiguousarray(position.T.reshape(2, *size[::-1]), dtype=np.float32)

@@ -179,23 +179,30 @@ def _spline_weights_kernel(t):
     -------
     tuple of six float32            they add up to one
     """
-    one, share = np.float32(1.0), np.float32(1.0 / 120.0)
-    r = one - t
+    unity, share = np.float32(1.0), np.float32(1.0 / 120.0)
+    r = unity - t
     far_left, left = _outer_weights_kernel(r, share)
     far_right, right = _outer_weights_kernel(t, share)
     r2 = r * r
-    even = np.float32(26.0) + np.float32(20.0) * r2 * (one - r2)
+    even = np.float32(26.0) + np.float32(20.0) * r2 * (unity - r2)
     odd = np.float32(50.0) - np.float32(20.0) * r2 + np.float32(10.0) * (r2 * r2)
     near = (even + r * odd) * share
-    return far_left, left, near, one - far_left - left - near - right - far_right, right, far_right
+    return (
+        far_left,
+        left,
+        near,
+        unity - far_left - left - near - right - far_right,
+        right,
+        far_right,
+    )
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def _outer_weights_kernel(s, share):
     """The spline from its end, at s and at 1 + s, with s from 0 to 1; `share` is 1 / 120."""
-    one, five = np.float32(1.0), np.float32(5.0)
+    unity, five = np.float32(1.0), np.float32(5.0)
     s2 = s * s
-    rise = one + five * (s + s2 * (np.float32(2.0) + np.float32(2.0) * s + s2 * (one - s)))
+    rise = unity + five * (s + s2 * (np.float32(2.0) + np.float32(2.0) * s + s2 * (unity - s)))
     return s2 * s2 * s * share, rise * share
 
 
@@ -258,12 +265,12 @@ def noise_fraction_kernel(column, row):
     float32 [-]                     1 at pixel centres, 0.70 in the middle of four; within 0.015 of
                                     the exact value
     """
-    one = np.float32(1.0)
+    unity = np.float32(1.0)
     drop = np.float32(16.0 * (1.0 - _FRACTION_HALF_WAY))
     # The same on both sides of a pixel centre, so the sign does not matter.
     t, s = abs(column), abs(row)
     t -= np.float32(np.int32(t))
     s -= np.float32(np.int32(s))
-    t = t * (one - t)
-    s = s * (one - s)
-    return (one - drop * t * t) * (one - drop * s * s)
+    t = t * (unity - t)
+    s = s * (unity - s)
+    return (unity - drop * t * t) * (unity - drop * s * s)

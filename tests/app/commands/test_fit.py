@@ -193,10 +193,10 @@ def test_status_that_is_not_ok_ends_with_three_and_its_cure(
     palpate, calls, cube_session, tmp_path, monkeypatch
 ):
     def fit_session(session, **options):
-        told = ALL_TOLD | {"poisson_ratio": False}
-        status = Status.from_identifiable(told)
+        determined = ALL_TOLD | {"poisson_ratio": False}
+        status = Status.from_identifiable(determined)
         result = _result(session)
-        estimate = dataclasses.replace(result.estimate, status=status, identifiable=told)
+        estimate = dataclasses.replace(result.estimate, status=status, identifiable=determined)
         return dataclasses.replace(result, estimate=estimate)
 
     monkeypatch.setattr(fit_command, "fit_session", fit_session)
@@ -237,8 +237,8 @@ def test_failures_leave_nothing(palpate, calls, cube_session, tmp_path, monkeypa
         raise error
 
     monkeypatch.setattr(fit_command, "fit_session", fit_session)
-    found, out, err = palpate("fit", cube_session)
-    assert (found, out) == (code, "")
+    actual, out, err = palpate("fit", cube_session)
+    assert (actual, out) == (code, "")
     assert err == f"palpate: {error}\n"
     assert [path.name for path in tmp_path.iterdir()] == ["cube"]
 

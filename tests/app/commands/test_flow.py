@@ -57,8 +57,8 @@ images = "s1_{camera}.png"
 
 
 def motion(name, sampled, *, probing=None, last=True):
-    found = (sampled.flow, sampled.vertices, None)
-    return MeasuredMotion(name, probing, last, sampled.picture, *found)
+    measured_motion = (sampled.flow, sampled.vertices, None)
+    return MeasuredMotion(name, probing, last, sampled.picture, *measured_motion)
 
 
 def lost(name, failure):
@@ -81,7 +81,7 @@ def session(tmp_path):
 def measured(monkeypatch):
     """The measurement replaced: what it gives, and what it was asked for."""
     sampled = sample(reject={Outcome.SCORE: [5, 6]})
-    told = SimpleNamespace(
+    measurement = SimpleNamespace(
         asked=[],
         motions=[
             motion("n01_1", sampled, probing="n01", last=False),
@@ -92,15 +92,15 @@ def measured(monkeypatch):
     )
 
     def measured_motions(session, *, method, pose, progress, parts):
-        told.asked.append((session, method, pose))
+        measurement.asked.append((session, method, pose))
         wanted = {None, *(probing.name for probing in session.probings)}
-        for found in told.motions:
+        for sampled_motion in measurement.motions:
             progress("points [a]", 0.5)
-            if found.probing in wanted:
-                yield rig(), found, told.notes
+            if sampled_motion.probing in wanted:
+                yield rig(), sampled_motion, measurement.notes
 
     monkeypatch.setattr(flow_command, "measured_motions", measured_motions)
-    return told
+    return measurement
 
 
 def test_the_table_is_printed_and_the_folder_written(palpate, measured, session, tmp_path):
@@ -124,10 +124,10 @@ def test_the_csv_is_in_the_unit_of_the_session(palpate, measured, session, tmp_p
     field, notes = read_displacement(path, mesh, metres_per_unit=1e-3)
     assert notes == ()
     known = np.isfinite(measured.motions[1].vertices.displacement[:, 0])
-    found = field.displacement[np.isfinite(field.displacement[:, 0])]
+    displacement = field.displacement[np.isfinite(field.displacement[:, 0])]
     # The mesh file and the unit cost a few roundings.
     expected = measured.motions[1].vertices.displacement[known]
-    np.testing.assert_allclose(np.sort(found[:, 0]), np.sort(expected[:, 0]), rtol=1e-12)
+    np.testing.assert_allclose(np.sort(displacement[:, 0]), np.sort(expected[:, 0]), rtol=1e-12)
     assert np.genfromtxt(path, delimiter=",", names=True)["z"].max() == pytest.approx(40.0)
 
 
@@ -254,7 +254,7 @@ def test_motions_are_let_go_once_they_are_written(palpate, session, tmp_path, mo
     def flows():
         gc.collect()
         # By type: to ask a weak proxy for its class fails where its object is gone.
-        return sum(type(each) is RangeFlow for each in gc.get_objects())
+        return sum(type(item) is RangeFlow for item in gc.get_objects())
 
     def measured_motions(session, **options):
         (folder,) = (path for path in tmp_path.glob(".long*") if path.is_dir())

@@ -11,12 +11,14 @@ from palpate.records import read_session, without_pictures
 def rows(start=0.0):
     """Nine pokes of a half space of 30 kPa, ten samples each [mm, N]."""
     stiffness = 4.0 / 3.0 * 30e3 / 0.75 * np.sqrt(4e-3)
-    found = []
+    read_rows = []
     for k in range(9):
         for depth in np.linspace(0.2, 2.0, 10):
             force = stiffness * (1e-3 * max(depth - start, 0.0)) ** 1.5
-            found.append([k, 10.0 + 10.0 * (k % 3), 10.0 + 10.0 * (k // 3), 30.0 - depth, force])
-    return np.array(found)
+            read_rows.append(
+                [k, 10.0 + 10.0 * (k % 3), 10.0 + 10.0 * (k // 3), 30.0 - depth, force]
+            )
+    return np.array(read_rows)
 
 
 @pytest.fixture

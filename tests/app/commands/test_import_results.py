@@ -219,10 +219,10 @@ def test_the_old_session_or_the_new_one_wherever_it_is_killed(palpate, bare, top
         words = [*command[:3], str(folder), *command[3:]]
         outcome = in_child(lambda words=words: main(words), folder, step=step)
         read_session(folder, probes=["n01"])
-        found = {name: content for name, content in _tree(folder).items() if name[0] != "."}
+        visible_files = {name: content for name, content in _tree(folder).items() if name[0] != "."}
         # The new file may be there before the session names it.
-        assert found in (before, before | {"n01_2.csv": after["n01_2.csv"]}, after)
-        seen.append(found)
+        assert visible_files in (before, before | {"n01_2.csv": after["n01_2.csv"]}, after)
+        seen.append(visible_files)
     assert seen[0] == before
     assert seen[-1] == after
     assert len(seen) > 5
@@ -310,13 +310,13 @@ def test_wrong_arguments(palpate, bare, top, tmp_path, arguments, message):
 def test_what_is_not_believed_is_counted_by_cause(palpate, bare, tmp_path):
     """Of a smooth field: one failed, two that hardly correlate, one that moves on its own."""
     rng = np.random.default_rng(4)
-    place = np.column_stack([rng.uniform(1.0, 39.0, size=(200, 2)), np.full(200, 40.0)])
-    moved = place * [1e-3, -5e-4, -2e-2] + rng.normal(scale=1e-3, size=(200, 3))
+    position = np.column_stack([rng.uniform(1.0, 39.0, size=(200, 2)), np.full(200, 40.0)])
+    moved = position * [1e-3, -5e-4, -2e-2] + rng.normal(scale=1e-3, size=(200, 3))
     moved[17, 0] += 0.1
     match, gamma = np.zeros(200), np.full(200, 0.02)
     match[3], gamma[5], gamma[8] = -1.0, 0.6, 1.9
     names = [*DICE_NAMES[:3], *DICE_NAMES[4:7], "MATCH", "GAMMA"]
-    rows = np.column_stack([place, moved, match, gamma])
+    rows = np.column_stack([position, moved, match, gamma])
     write_table(tmp_path / "n01.txt", ",".join(names), rows)
     code, out, _ = palpate("import", "dice", "n01.txt", bare)
     assert code == 0
@@ -332,9 +332,9 @@ def test_what_is_not_believed_is_counted_by_cause(palpate, bare, tmp_path):
 
 def test_dice_text_and_exodus_agree(palpate, bare, tmp_path):
     values, states = dice_values(), dice_states()
-    place = np.column_stack([np.arange(4.0) * 10.0, np.full(4, 20.0), np.full(4, 40.0)])
-    values[:, :3] = place
-    states[:, :3] = place.T
+    position = np.column_stack([np.arange(4.0) * 10.0, np.full(4, 20.0), np.full(4, 40.0)])
+    values[:, :3] = position
+    states[:, :3] = position.T
     write_table(tmp_path / "n01.txt", ",".join(DICE_NAMES), values)
     write_exodus(tmp_path / "n02.e", states, form="large")
     assert palpate("import", "dice", "n01.txt", "n02.e", bare)[0] == 0

@@ -71,8 +71,8 @@ def test_another_seed_makes_other_pictures(palpate, tmp_path):
     (tmp_path / "toy.toml").write_text(SMALL.replace("steps = 2", "steps = 1"))
     for seed in (1, 2):
         assert palpate("lab", "toy.toml", f"made{seed}", "--seed", seed)[0] == 0
-    one, other = (tmp_path / f"made{seed}" / "images" / "s1_c0.png" for seed in (1, 2))
-    assert one.read_bytes() != other.read_bytes()
+    first, other = (tmp_path / f"made{seed}" / "images" / "s1_c0.png" for seed in (1, 2))
+    assert first.read_bytes() != other.read_bytes()
 
 
 def test_unknown_names_and_missing_folders_get_one_message(palpate, tmp_path):
@@ -196,7 +196,7 @@ def bench(monkeypatch, tmp_path):
         assert distribute is MAP
         progress("doing [it]", 0.5)
         session, names = session_of(config, folder)
-        found = {
+        flows = {
             method: SessionFlow(
                 rig(),
                 tuple(moved(n, TIMES[method] * k * STEP) for k, n in enumerate(names, start=1)),
@@ -204,7 +204,7 @@ def bench(monkeypatch, tmp_path):
             )
             for method in METHODS
         }
-        return PaperSession(session, found)
+        return PaperSession(session, flows)
 
     monkeypatch.setattr("palpate.paper.experiments.measured_session", measured_session)
     monkeypatch.setattr(lab_command, "choose_variant", lambda: Variant("none", "no [bench]", None))
@@ -245,13 +245,13 @@ def test_table_one_has_the_paper_beside_both_methods(bench, tmp_path, capsys):
 
 def test_table_two_tells_directions(bench, tmp_path):
     reproduce("table2", out=tmp_path / "t2")
-    summary, *each = rows_of(tmp_path / "t2")
+    summary, *rows = rows_of(tmp_path / "t2")
     assert [row[0] for row in summary[1::3]] == ["translation-x", "translation-y", "rotation-z"]
     assert float(summary[1][2]) == pytest.approx(10.9142)
     # Too long or too short, but all in the true direction.
     assert [float(row[2]) for row in summary[2:4]] == pytest.approx([0.0, 0.0], abs=1e-9)
-    assert len(each) == 3
-    assert each[2][3][0:2] == ["1", "joint"]
+    assert len(rows) == 3
+    assert rows[2][3][0:2] == ["1", "joint"]
 
 
 @pytest.mark.parametrize(("name", "rows"), [("figure2", 4), ("figure3", 2)])

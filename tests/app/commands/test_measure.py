@@ -14,7 +14,7 @@ class Page:
     address = "http://127.0.0.1:8080/token/"
     made: ClassVar[list["Page"]] = []
 
-    def __init__(self, _name, *, port, say):
+    def __init__(self, _name, *, port, on_message):
         self.port, self.ending, self.closed = port, "", False
         self.made.append(self)
 
@@ -47,7 +47,7 @@ def test_the_page_is_asked_and_its_address_printed(
     code, out, _ = palpate("measure", "bench", "--out", "ball", *options)
     assert (code, persons) == (0, Page.made)
     assert f"Open {Page.address} in a browser" in out
-    assert [(one.port, one.ending, one.closed) for one in persons] == [
+    assert [(person.port, person.ending, person.closed) for person in persons] == [
         (port, "Nothing was measured", True)
     ]
 
@@ -57,7 +57,7 @@ def test_the_terminal_is_asked(palpate, persons, monkeypatch, options, shown):
     monkeypatch.setattr(command, "_has_browser", lambda: shown)
     code, out, _ = palpate("measure", "bench", "--out", "ball", *options)
     assert (code, Page.made, "Open" in out) == (0, [], False)
-    assert [type(one) for one in persons] == [command._Terminal]
+    assert [type(person) for person in persons] == [command._Terminal]
 
 
 def test_a_port_at_the_terminal_is_refused(palpate, persons):

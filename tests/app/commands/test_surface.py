@@ -122,9 +122,9 @@ def kept_maps(tmp_path_factory):
     mesh, text = toy(), ""
     for k in range(VIEWS):
         camera = camera_at(2.0 * np.pi * k / VIEWS)
-        found = surface_map(camera, SIZE[::-1], mesh.vertices, mesh.triangles)
-        z = found.point @ camera.T_camera_object[2, :3] + camera.T_camera_object[2, 3]
-        levels = np.where(found.triangle >= 0, np.rint(1e4 * z), 0).astype(np.uint16)
+        surface = surface_map(camera, SIZE[::-1], mesh.vertices, mesh.triangles)
+        z = surface.point @ camera.T_camera_object[2, :3] + camera.T_camera_object[2, 3]
+        levels = np.where(surface.triangle >= 0, np.rint(1e4 * z), 0).astype(np.uint16)
         cv2.imwrite(str(folder / f"d{k}.png"), levels)
         pose = np.linalg.inv(camera.T_camera_object).tolist()
         (folder / f"p{k}.toml").write_text(f'length_unit = "m"\nT = {pose}\n')

@@ -29,33 +29,35 @@ def test_leaves_hold_everything_once_and_no_more_than_asked(trees):
     for tree, count, most in ((first, 700, 32), (second, 900, 20)):
         members = [tree.members(leaf) for leaf in tree.leaves]
         assert np.array_equal(np.sort(np.concatenate(members)), np.arange(count))
-        assert max(len(own) for own in members) <= most
+        assert max(len(leaf) for leaf in members) <= most
 
 
 def test_children_share_what_their_parent_holds(trees):
     tree = trees[3]
-    for one, children in enumerate(tree.children):
+    for cluster, children in enumerate(tree.children):
         if children[0] >= 0:
             below = np.concatenate([tree.members(int(child)) for child in children])
-            assert np.array_equal(below, tree.members(one))
+            assert np.array_equal(below, tree.members(cluster))
 
 
 def test_spheres_hold_their_things(trees):
     _, items, item_radius, _, tree = trees
-    for one in range(len(tree.start)):
-        own = tree.members(one)
-        outside = np.linalg.norm(items[own] - tree.centre[one], axis=1) + item_radius[own]
+    for cluster in range(len(tree.start)):
+        members = tree.members(cluster)
+        outside = (
+            np.linalg.norm(items[members] - tree.centre[cluster], axis=1) + item_radius[members]
+        )
         # The radius is the largest of these numbers itself.
-        assert outside.max() <= tree.radius[one]
+        assert outside.max() <= tree.radius[cluster]
 
 
 def test_every_pair_is_far_or_near_exactly_once(trees):
     *_, first, second = trees
     far_pairs, near_pairs = cluster_pairs(first, second, ADMISSIBILITY, np.zeros(len(second.start)))
     count = np.zeros((700, 900), dtype=int)
-    for one in range(len(first.start)):
-        for other in np.concatenate([far_pairs[one], near_pairs[one]]):
-            count[np.ix_(first.members(one), second.members(int(other)))] += 1
+    for cluster in range(len(first.start)):
+        for other in np.concatenate([far_pairs[cluster], near_pairs[cluster]]):
+            count[np.ix_(first.members(cluster), second.members(int(other)))] += 1
     assert (count == 1).all()
     assert sum(len(x) for x in far_pairs) > 0
 
@@ -64,13 +66,15 @@ def test_what_is_far_lies_outside_the_widened_spheres(trees):
     points, items, item_radius, first, second = trees
     gap = np.full(len(second.start), 0.4)
     far_pairs, _ = cluster_pairs(first, second, ADMISSIBILITY, gap)
-    for one, far in enumerate(far_pairs):
+    for cluster, far in enumerate(far_pairs):
         for other in far:
-            own, its = first.members(one), second.members(int(other))
-            from_first = np.linalg.norm(items[its] - first.centre[one], axis=1) - item_radius[its]
-            from_second = np.linalg.norm(points[own] - second.centre[other], axis=1)
+            members, its = first.members(cluster), second.members(int(other))
+            from_first = (
+                np.linalg.norm(items[its] - first.centre[cluster], axis=1) - item_radius[its]
+            )
+            from_second = np.linalg.norm(points[members] - second.centre[other], axis=1)
             # Rounding of a sum of lengths of one.
-            assert from_first.min() >= ADMISSIBILITY[0] * first.radius[one] - 1e-12
+            assert from_first.min() >= ADMISSIBILITY[0] * first.radius[cluster] - 1e-12
             assert from_second.min() >= ADMISSIBILITY[1] * second.radius[other] - 1e-12
             assert from_second.min() >= second.radius[other] + 0.4 - 1e-12
 
@@ -109,10 +113,10 @@ def test_charges_stand_for_all_sources_inside(count, most):
     outside = 2.5 * points_on_sphere(91)
     outside[::2] *= 3.0
     wanted = strength @ inverse_distances(inside, outside)
-    found = charges @ inverse_distances(sphere.charge, outside)
+    potential = charges @ inverse_distances(sphere.charge, outside)
     # Harmonics that k charges do not tell apart, of a degree of about the root of k, have fallen
     # with (0.8 / 2.5)^degree.
-    assert np.abs(found / wanted - 1.0).max() < most
+    assert np.abs(potential / wanted - 1.0).max() < most
 
 
 def test_skeleton_points_interpolate_the_others():

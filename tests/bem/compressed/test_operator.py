@@ -71,8 +71,8 @@ def test_enough_is_far(compressed):
 def test_every_part_is_that_of_the_dense_matrices(dense, compressed, part):
     displacement, traction = vectors(dense)
     wanted = dense_product(dense, PARTS[part], displacement, traction)
-    found = compressed.operator.apply(PARTS[part], displacement, traction)
-    error = np.linalg.norm(found - wanted, axis=(0, 1)) / np.linalg.norm(wanted, axis=(0, 1))
+    applied = compressed.operator.apply(PARTS[part], displacement, traction)
+    error = np.linalg.norm(applied - wanted, axis=(0, 1)) / np.linalg.norm(wanted, axis=(0, 1))
     # Single precision leaves 3e-8, 250 charges at two radii 5e-8 of the sum.
     assert error.max() < 2e-7
 
@@ -81,20 +81,20 @@ def test_rigid_translations_give_no_traction(compressed):
     displacement = np.tile(np.eye(3), (len(compressed.surface.mesh.vertices), 1, 1))
     no_traction = np.zeros((compressed.unknowns.held_sides.size, 3, 3))
     for part in ("A", "B"):
-        found = compressed.operator.apply(PARTS[part], displacement, no_traction)
+        applied = compressed.operator.apply(PARTS[part], displacement, no_traction)
         # Rounding of sums whose terms are of the order of 4 pi.
-        assert np.abs(found).max() < 1e-12
+        assert np.abs(applied).max() < 1e-12
 
 
 def test_the_number_of_threads_changes_nothing(compressed):
     displacement, traction = vectors(compressed)
     weights = KernelWeights(0.4, 1.0, -1.0, -0.3)
     threads = numba.get_num_threads()
-    found = []
+    errors = []
     try:
         for count in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
             numba.set_num_threads(count)
-            found.append(compressed.operator.apply(weights, displacement, traction))
+            errors.append(compressed.operator.apply(weights, displacement, traction))
     finally:
         numba.set_num_threads(threads)
-    assert np.array_equal(*found)
+    assert np.array_equal(*errors)

@@ -13,10 +13,10 @@ ROWS, COLUMNS = 500, 3
 @pytest.fixture(scope="module")
 def basis():
     """Four orthonormal directions for each of three columns."""
-    found = []
+    ratios = []
     for vectors in np.random.default_rng(0).normal(size=(4, ROWS, COLUMNS)):
-        found.append(orthogonalised(vectors, found)[0])
-    return found
+        ratios.append(orthogonalised(vectors, ratios)[0])
+    return ratios
 
 
 def test_directions_are_orthonormal(basis):
@@ -29,8 +29,8 @@ def test_directions_are_orthonormal(basis):
 def test_a_vector_is_the_sum_of_its_parts(basis):
     vectors = np.random.default_rng(1).normal(size=(ROWS, COLUMNS))
     direction, coefficients = orthogonalised(vectors, basis)
-    found = np.einsum("jkc,jc->kc", np.stack([*basis, direction]), coefficients)
-    np.testing.assert_allclose(found, vectors, atol=1e-13)
+    solution = np.einsum("jkc,jc->kc", np.stack([*basis, direction]), coefficients)
+    np.testing.assert_allclose(solution, vectors, atol=1e-13)
 
 
 @pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])

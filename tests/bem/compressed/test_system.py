@@ -63,21 +63,21 @@ def test_the_slope_is_that_of_the_matrix(dense, compressed):
 
 def test_given_displacements_are_those_of_the_dense_system(dense, compressed):
     turn = np.cross(dense.surface.mesh.vertices, [0.3, 0.2, 1.0])[:, :, None]
-    wanted, found = (support_columns(one, turn).terms for one in (dense, compressed))
-    assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted).max()
+    wanted, actual = (support_columns(system, turn).terms for system in (dense, compressed))
+    assert np.abs(actual - wanted).max() < 1e-6 * np.abs(wanted).max()
 
 
 @pytest.mark.parametrize("nu", [0.1, 0.4999])
 def test_solutions_are_those_of_the_dense_system(dense, compressed, right, nu):
-    found = solve_compressed(cluster_inverse(compressed, nu, max_points=128), right.at(nu))
+    solved = solve_compressed(cluster_inverse(compressed, nu, max_points=128), right.at(nu))
     wanted = solve(factorise(dense, nu), right.at(nu))
     first = 3 * compressed.unknowns.free_vertices.size
     # The support that turns takes the body with it: no traction, the last column.
     for part in (np.s_[:first], np.s_[first:-3, :3]):
-        error = np.abs(found.solution[part] - wanted[part]).max(axis=0)
+        error = np.abs(solved.solution[part] - wanted[part]).max(axis=0)
         assert (error < CLOSE * np.abs(wanted[part]).max(axis=0)).all()
     # Many more would mean that the clusters' own equations are of no use.
-    assert found.iterations < 50
+    assert solved.iterations < 50
 
 
 def test_a_few_solutions_serve_every_ratio(compressed, dense, right):
@@ -85,10 +85,10 @@ def test_a_few_solutions_serve_every_ratio(compressed, dense, right):
     for nu in (0.1, 0.23, 0.45):
         weights, residual = basis.coefficients(nu)
         assert residual <= 1e-6
-        found = np.einsum("jkc,jc->kc", np.stack(basis.directions), weights)
+        solution = np.einsum("jkc,jc->kc", np.stack(basis.directions), weights)
         wanted = solve(factorise(dense, nu), right.at(nu))
         free = slice(0, 3 * compressed.unknowns.free_vertices.size)
-        error = np.abs(found - wanted)[free].max(axis=0)
+        error = np.abs(solution - wanted)[free].max(axis=0)
         # The residual that is allowed, times the condition.
         assert (error < 1e-4 * np.abs(wanted[free]).max(axis=0)).all()
 
@@ -110,23 +110,23 @@ def test_linear_elements_on_flat_facets_are_served_too(long_surface):
         smooth=False,
         quadratic=False,
     )
-    found = compressed_system(flat, leaf_size=(32, 64))
+    system = compressed_system(flat, leaf_size=(32, 64))
     wanted = boundary_system(flat)
     x = unknown_vectors(wanted)
     product = system_matrix(wanted, 0.3) @ x
-    assert np.abs(found.product(0.3, x) - product).max() < 1e-6 * np.abs(product).max()
+    assert np.abs(system.product(0.3, x) - product).max() < 1e-6 * np.abs(product).max()
 
 
 @pytest.mark.slow
 def test_rules_of_low_degree_alone_serve_too(long_surface):
     """The far field has a rule of its own, whichever are those of the near field."""
     low = Quadrature(tolerance=1e-4, degrees=(2, 4))
-    found = compressed_system(long_surface, leaf_size=(32, 64), quadrature=low)
+    system = compressed_system(long_surface, leaf_size=(32, 64), quadrature=low)
     wanted = boundary_system(long_surface, quadrature=low)
     x = unknown_vectors(wanted)
     product = system_matrix(wanted, 0.3) @ x
     # What is far differs by the errors of both rules, each within the tolerance of an integral.
-    assert np.abs(found.product(0.3, x) - product).max() < 2e-4 * np.abs(product).max()
+    assert np.abs(system.product(0.3, x) - product).max() < 2e-4 * np.abs(product).max()
 
 
 def test_size_chooses(monkeypatch):
@@ -163,9 +163,9 @@ def _on_springs(system, held, load):
 def test_springs_take_dense_factors_whatever_the_size(compressed, dense):
     held = np.flatnonzero(compressed.surface.held)
     load = face_columns(dense, np.flatnonzero(~compressed.surface.held)[:1])
-    found, wanted = (_on_springs(system, held, load) for system in (compressed, dense))
+    actual, wanted = (_on_springs(system, held, load) for system in (compressed, dense))
     # The operator's own tolerance.
-    np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
+    np.testing.assert_allclose(actual, wanted, atol=1e-5 * np.abs(wanted).max())
 
 
 def test_a_mesh_that_fits_is_let_through():
@@ -221,8 +221,8 @@ def test_a_limit_of_the_process_counts():
 
 def test_every_probing_needs_memory():
     # Six columns of 3 x 1000 unknowns, 90 vectors each.
-    one, two = (memory_needed(1000, count, rollers=False) for count in (1, 2))
-    assert two - one == 6 * 3000 * 90 * 8
+    single, two = (memory_needed(1000, count, rollers=False) for count in (1, 2))
+    assert two - single == 6 * 3000 * 90 * 8
 
 
 @pytest.mark.parametrize(("vertices", "peak"), [(642, 0.526e9), (2562, 1.47e9)])
@@ -233,6 +233,6 @@ def test_what_is_said_is_what_a_fit_of_17_probings_took(vertices, peak):
 
 
 def test_further_factors_take_a_matrix_each():
-    one, three = (memory_needed(1000, 1, n_factors=count) for count in (1, 3))
+    single, three = (memory_needed(1000, 1, n_factors=count) for count in (1, 3))
     # At least the nine doubles of each pair of vertices.
-    assert 2 * 9 * 8e6 <= three - one < 2 * 13 * 8e6
+    assert 2 * 9 * 8e6 <= three - single < 2 * 13 * 8e6

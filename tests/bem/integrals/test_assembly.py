@@ -34,10 +34,10 @@ def collocation(surface):
     """Every vertex, then two points inside triangles: 68 rows, no multiple of the lanes."""
     mesh = surface.mesh
     triangle = np.array([3, 40])
-    place = np.einsum("ak,kai->ki", quadratic_shapes(INSIDE), surface.element_nodes[triangle])
+    inner = np.einsum("ak,kai->ki", quadratic_shapes(INSIDE), surface.element_nodes[triangle])
     n = mesh.vertices.shape[0]
     return Collocation(
-        np.concatenate([mesh.vertices, place]),
+        np.concatenate([mesh.vertices, inner]),
         np.concatenate([np.arange(n), [-1, -1]]),
         np.concatenate([np.full(n, -1), triangle]),
         np.concatenate([np.zeros((n, 3)), INSIDE]),
@@ -81,9 +81,9 @@ def solid_angles_of_others(surface, levels):
         triangle, cells = quartered(triangle, cells)
     corner = element_points(surface.element_nodes[triangle], cells)[:, :, :3]
     angles = []
-    for vertex, place in enumerate(surface.mesh.vertices):
+    for vertex, position in enumerate(surface.mesh.vertices):
         other = (surface.mesh.triangles[triangle] != vertex).all(axis=1)
-        a, b, c = np.moveaxis(corner[other] - place, 1, 0)
+        a, b, c = np.moveaxis(corner[other] - position, 1, 0)
         x, y, z = (np.linalg.norm(side, axis=1) for side in (a, b, c))
         # Van Oosterom and Strackee (1983), eq. 8.
         volume = (np.cross(a, b) * c).sum(axis=1)
@@ -98,7 +98,7 @@ def test_the_sum_puts_the_solid_angle_on_the_diagonal(surface, collocation):
     quadrature = Quadrature(tolerance=1e-8)
     blocks = assembled(surface, collocation, TRACTION, quadrature)
     raw = by_row(blocks)
-    own = np.arange(66)
+    diagonal = np.arange(66)
     flux = raw[:66, :, 3:6].sum(axis=2).sum(axis=1)
     # The value at the point itself is left out in its own triangles. The others are seen at a solid
     # angle that depends on the rim between them alone: here its curved edges in four and in eight
@@ -107,7 +107,9 @@ def test_the_sum_puts_the_solid_angle_on_the_diagonal(surface, collocation):
     np.testing.assert_allclose(flux / 3, fine + (fine - coarse) / 3, rtol=2e-5)
     whole = by_row(completed(surface, collocation, blocks))
     np.testing.assert_allclose(
-        whole[own, own, 3:6].sum(axis=1), raw[own, own, 3:6].sum(axis=1) - flux, atol=1e-12
+        whole[diagonal, diagonal, 3:6].sum(axis=1),
+        raw[diagonal, diagonal, 3:6].sum(axis=1) - flux,
+        atol=1e-12,
     )
 
 
@@ -115,12 +117,12 @@ def test_threads_do_not_change_a_bit(surface, collocation):
     before = numba.get_num_threads()
     try:
         numba.set_num_threads(1)
-        one = assembled(surface, collocation, TRACTION).values
+        single = assembled(surface, collocation, TRACTION).values
         numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
         several = assembled(surface, collocation, TRACTION).values
     finally:
         numba.set_num_threads(before)
-    assert np.array_equal(one, several)
+    assert np.array_equal(single, several)
 
 
 @pytest.mark.parametrize("kernel", [TRACTION, DISPLACEMENT])
@@ -160,7 +162,7 @@ def test_a_row_does_not_depend_on_its_block(surface, collocation, kernel):
 def test_a_far_row_is_a_plain_sum(surface, kernel):
     point = np.array([[0.3, -2.0, 1.5]])
     off = Collocation(point, np.array([-1]), np.array([-1]), np.zeros((1, 3)))
-    found = by_row(assembled(surface, off, kernel, Quadrature(tolerance=1e-9)))[0]
+    integrals = by_row(assembled(surface, off, kernel, Quadrature(tolerance=1e-9)))[0]
     barycentric, weight = triangle_rule(13)
     sources = element_points(surface.element_nodes, barycentric)
     r = sources[..., :3] - point
@@ -181,7 +183,7 @@ def test_a_far_row_is_a_plain_sum(surface, kernel):
     np.add.at(at_nodes, nodes.element, local)
     expected = at_nodes[: nodes.n_nodes] + nodes.weights.T @ at_nodes[nodes.n_nodes :]
     # The tolerance asked for, of the largest entry.
-    assert np.abs(found - expected).max() < 1e-8 * np.abs(expected).max()
+    assert np.abs(integrals - expected).max() < 1e-8 * np.abs(expected).max()
 
 
 @pytest.fixture(scope="module")
@@ -194,12 +196,12 @@ def distributed(patches, integrals, n_nodes):
     """The sums of the kernel, by plain loops: integrals (m, 6) of each triangle's own nodes."""
     out = np.zeros(n_nodes)
     for p, size in enumerate(patches.size):
-        own = np.zeros(size)
+        sums = np.zeros(size)
         members = slice(patches.triangles[p], patches.triangles[p + 1])
-        np.add.at(own, patches.number[members], integrals[patches.order[members]])
+        np.add.at(sums, patches.number[members], integrals[patches.order[members]])
         for s in range(patches.sums[p], patches.sums[p + 1]):
             terms = slice(patches.terms[s], patches.terms[s + 1])
-            out[patches.node[s]] += patches.weight[terms] @ own[patches.own[terms]]
+            out[patches.node[s]] += patches.weight[terms] @ sums[patches.own[terms]]
     return out
 
 

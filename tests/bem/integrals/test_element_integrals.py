@@ -32,14 +32,16 @@ def kernel_fields(r, area_normal, n_fields):
     )
 
 
-def integral_over(corners, nodes, point, own, n_fields):
+def integral_over(corners, nodes, point, own_shapes, n_fields):
     """One rule of degree 15 over a part of an element, (6, n_fields)."""
     barycentric, weight = triangle_rule(15)
     barycentric = barycentric @ corners
     source = element_points(nodes[None], barycentric)[0]
     weight = weight * abs(np.linalg.det(corners))
     fields = kernel_fields(source[:, :3] - point, source[:, 3:], n_fields)
-    return np.einsum("q,aq,qf->af", weight, quadratic_shapes(barycentric) - own[:, None], fields)
+    return np.einsum(
+        "q,aq,qf->af", weight, quadratic_shapes(barycentric) - own_shapes[:, None], fields
+    )
 
 
 def quarters(corners):
@@ -48,16 +50,17 @@ def quarters(corners):
     return [np.stack(p) for p in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
 
 
-def brute_force(corners, nodes, point, own, n_fields, levels):
+def brute_force(corners, nodes, point, own_shapes, n_fields, levels):
     """Many small parts."""
     if levels == 0:
-        return integral_over(corners, nodes, point, own, n_fields)
+        return integral_over(corners, nodes, point, own_shapes, n_fields)
     return sum(
-        brute_force(part, nodes, point, own, n_fields, levels - 1) for part in quarters(corners)
+        brute_force(part, nodes, point, own_shapes, n_fields, levels - 1)
+        for part in quarters(corners)
     )
 
 
-def fine_polar(corners, nodes, point, own, n_fields, strips=300):
+def fine_polar(corners, nodes, point, own_shapes, n_fields, strips=300):
     """Plain polar coordinates around the first corner, in very many narrow strips: slow, and sure
     to 1e-10."""
     s, w_s = unit_gauss(16)
@@ -69,7 +72,9 @@ def fine_polar(corners, nodes, point, own, n_fields, strips=300):
     barycentric = np.stack([1 - s, s * (1 - t), s * t], axis=1) @ corners
     source = element_points(nodes[None], barycentric)[0]
     fields = kernel_fields(source[:, :3] - point, source[:, 3:], n_fields)
-    return np.einsum("q,aq,qf->af", weight, quadratic_shapes(barycentric) - own[:, None], fields)
+    return np.einsum(
+        "q,aq,qf->af", weight, quadratic_shapes(barycentric) - own_shapes[:, None], fields
+    )
 
 
 def near_rules():
@@ -92,14 +97,14 @@ def test_regular_integral_in_lanes(n_fields, degree):
     number = np.array([4, 0, 6, 2, 1, 5])
     out = np.ones(7 * n_fields * LANES)
     add_shape_moments(rows, np.ascontiguousarray(shape), number, out)
-    found = (out - 1).reshape(7, n_fields, LANES)
-    assert not found[3].any()
+    values = (out - 1).reshape(7, n_fields, LANES)
+    assert not values[3].any()
     for a in range(6):
         for lane in (0, 7, LANES - 1):
             fields = kernel_fields(source[:, :3] - points[lane], source[:, 3:], n_fields)
             # Fast reciprocal root: 5e-15, times the fifth power; 1 was added and taken away.
             np.testing.assert_allclose(
-                found[number[a], :, lane], shape[a] @ fields, rtol=1e-11, atol=3e-16
+                values[number[a], :, lane], shape[a] @ fields, rtol=1e-11, atol=3e-16
             )
 
 
@@ -122,12 +127,14 @@ def test_surface_point_is_that_of_the_arrays():
 @pytest.mark.parametrize("n_fields", [TRACTION, DISPLACEMENT])
 @pytest.mark.parametrize("height", [0.5, 0.06])
 def test_near_integral(n_fields, height):
-    place = element_points(CURVED[None], np.array([[0.3, 0.5, 0.2]]))[0, 0]
-    point = place[:3] + height * place[3:] / np.linalg.norm(place[3:])
-    found = np.zeros((6, n_fields))
-    add_near(n_fields, point, CURVED, *near_rules(), found)
+    point_and_normal = element_points(CURVED[None], np.array([[0.3, 0.5, 0.2]]))[0, 0]
+    point = point_and_normal[:3] + height * point_and_normal[3:] / np.linalg.norm(
+        point_and_normal[3:]
+    )
+    integral = np.zeros((6, n_fields))
+    add_near(n_fields, point, CURVED, *near_rules(), integral)
     expected = brute_force(np.eye(3), CURVED, point, np.zeros(6), n_fields, 5)
-    error = np.abs(found[:, :n_fields] - expected).max() / np.abs(expected).max()
+    error = np.abs(integral[:, :n_fields] - expected).max() / np.abs(expected).max()
     # Parts are within the default tolerance of 1e-6 by a bound; their errors come out smaller and
     # cancel.
     assert error < 1e-8
@@ -148,39 +155,39 @@ ACCURACY = (
 @pytest.mark.parametrize(("polar_points", "tolerance"), ACCURACY)
 def test_singular_integral_at_a_corner(n_fields, corner, nodes, polar_points, tolerance):
     corners = np.roll(np.eye(3), -corner, axis=0)
-    own = np.eye(6)[corner]
-    found = np.zeros((6, n_fields))
+    own_shapes = np.eye(6)[corner]
+    integral = np.zeros((6, n_fields))
     polar = polar_rule(Quadrature(polar_points=polar_points))
-    subtracted = own if n_fields == TRACTION else 0 * own
-    add_singular(n_fields, nodes[corner], nodes, corners, polar, subtracted, found)
+    subtracted = own_shapes if n_fields == TRACTION else 0 * own_shapes
+    add_singular(n_fields, nodes[corner], nodes, corners, polar, subtracted, integral)
     expected = fine_polar(corners, nodes, nodes[corner], subtracted, n_fields)
-    assert np.abs(found[:, :n_fields] - expected).max() < tolerance * np.abs(expected).max()
+    assert np.abs(integral[:, :n_fields] - expected).max() < tolerance * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("n_fields", [TRACTION, DISPLACEMENT])
-@pytest.mark.parametrize("place", [(0.8, 0.1, 0.1), (0.3, 0.3, 0.4), (0.02, 0.58, 0.4)])
+@pytest.mark.parametrize("inside", [(0.8, 0.1, 0.1), (0.3, 0.3, 0.4), (0.02, 0.58, 0.4)])
 @pytest.mark.parametrize(("polar_points", "tolerance"), ACCURACY)
-def test_singular_integral_around_a_shifted_point(n_fields, place, polar_points, tolerance):
-    place = np.array(place)
-    point = element_points(CURVED[None], place[None])[0, 0, :3]
-    own = quadratic_shapes(place[None])[:, 0]
-    found, expected = np.zeros((6, n_fields)), np.zeros((6, n_fields))
+def test_singular_integral_around_a_shifted_point(n_fields, inside, polar_points, tolerance):
+    inside = np.array(inside)
+    point = element_points(CURVED[None], inside[None])[0, 0, :3]
+    own_shapes = quadratic_shapes(inside[None])[:, 0]
+    integral, expected = np.zeros((6, n_fields)), np.zeros((6, n_fields))
     polar = polar_rule(Quadrature(polar_points=polar_points))
     for k in range(3):
-        corners = np.stack([place, np.eye(3)[k], np.eye(3)[(k + 1) % 3]])
-        subtracted = own if n_fields == TRACTION else 0 * own
-        add_singular(n_fields, point, CURVED, corners, polar, subtracted, found)
+        corners = np.stack([inside, np.eye(3)[k], np.eye(3)[(k + 1) % 3]])
+        subtracted = own_shapes if n_fields == TRACTION else 0 * own_shapes
+        add_singular(n_fields, point, CURVED, corners, polar, subtracted, integral)
         expected += fine_polar(corners, CURVED, point, subtracted, n_fields)
-    error = np.abs(found[:, :n_fields] - expected).max() / np.abs(expected).max()
+    error = np.abs(integral[:, :n_fields] - expected).max() / np.abs(expected).max()
     assert error < tolerance
 
 
 def test_potential_of_a_flat_triangle_seen_from_its_corner():
     # Closed form: int 1 / r = h (asinh(b / h) - asinh(a / h)) with the opposite edge from a to b at
     # distance h.
-    found = np.zeros((6, DISPLACEMENT))
+    integral = np.zeros((6, DISPLACEMENT))
     polar = polar_rule(Quadrature())
-    add_singular(DISPLACEMENT, FLAT[0], FLAT, np.eye(3), polar, np.zeros(6), found)
+    add_singular(DISPLACEMENT, FLAT[0], FLAT, np.eye(3), polar, np.zeros(6), integral)
     edge = FLAT[2] - FLAT[1]
     length = np.linalg.norm(edge)
     along = (FLAT[1] - FLAT[0]) @ edge / length
@@ -188,7 +195,7 @@ def test_potential_of_a_flat_triangle_seen_from_its_corner():
     exact = height * (np.arcsinh((along + length) / height) - np.arcsinh(along / height))
     # The trace of r_i r_j / r^3 is 1 / r and the shapes sum to one; 12 Gauss points resolve the
     # smooth angle.
-    np.testing.assert_allclose(found[:, :3].sum(), exact, rtol=1e-9)
+    np.testing.assert_allclose(integral[:, :3].sum(), exact, rtol=1e-9)
 
 
 @pytest.mark.parametrize("thinness", [0.1, 0.01])
@@ -196,8 +203,8 @@ def test_potential_of_a_thin_triangle(thinness):
     # The hyperbolic angle keeps its accuracy however flat the triangle is; plain polar coordinates
     # would not.
     nodes = ELEMENT_NODES @ np.array([[0.0, 0, 0], [-1, thinness, 0], [1.5, thinness, 0]])
-    found = np.zeros((6, DISPLACEMENT))
+    integral = np.zeros((6, DISPLACEMENT))
     polar = polar_rule(Quadrature())
-    add_singular(DISPLACEMENT, nodes[0], nodes, np.eye(3), polar, np.zeros(6), found)
+    add_singular(DISPLACEMENT, nodes[0], nodes, np.eye(3), polar, np.zeros(6), integral)
     exact = thinness * (np.arcsinh(1.5 / thinness) + np.arcsinh(1 / thinness))
-    np.testing.assert_allclose(found[:, :3].sum(), exact, rtol=1e-8)
+    np.testing.assert_allclose(integral[:, :3].sum(), exact, rtol=1e-8)

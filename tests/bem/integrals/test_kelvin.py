@@ -75,14 +75,14 @@ def test_displacement_is_that_of_the_potentials(nu):
 def test_traction_is_the_stress_of_the_displacement(nu):
     r, normal = some_vectors()
     kernel = traction_kernel(r, normal, nu)
-    for x, n, found in zip(r, normal, kernel, strict=True):
+    for x, n, tensor in zip(r, normal, kernel, strict=True):
         for i, force in enumerate(np.eye(3)):
             gradient = gradient_by_complex_step(x, force, nu)
             lame = 2 * SHEAR * nu / (1 - 2 * nu)
             stress = SHEAR * (gradient + gradient.T) + lame * np.trace(gradient) * np.eye(3)
             # lame is 500 G at 0.499 and multiplies a dilation that cancels to 1 / 500: 3 digits
             # lost of 16.
-            np.testing.assert_allclose(found[i], stress @ n, rtol=1e-11, atol=1e-12)
+            np.testing.assert_allclose(tensor[i], stress @ n, rtol=1e-11, atol=1e-12)
 
 
 def test_traction_over_a_closed_surface_balances_the_force():
@@ -131,13 +131,13 @@ def test_lanes_are_the_fields_of_each_point(n_fields):
     sources = np.random.default_rng(5).normal(size=(4, 6))
     out = np.empty(4 * n_fields * LANES)
     lane_fields(n_fields, np.ascontiguousarray(points.T).ravel(), sources, out)
-    found = out.reshape(4, n_fields, LANES)
+    values = out.reshape(4, n_fields, LANES)
     for q, source in enumerate(sources):
         normal = np.tile(source[3:], (LANES, 1))
         expected = fields_at(n_fields, source[:3] - points, normal)
         # The reciprocal root is good to 5e-15 and enters to the fifth power; small fields are
         # differences.
-        np.testing.assert_allclose(found[q], expected, rtol=1e-11, atol=1e-15)
+        np.testing.assert_allclose(values[q], expected, rtol=1e-11, atol=1e-15)
 
 
 @pytest.mark.parametrize("shear", [0.0, -1.0, np.nan, np.inf])

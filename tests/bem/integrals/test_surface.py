@@ -71,8 +71,8 @@ def monomial_error(barycentric, weight, degree):
     for i in range(degree + 1):
         j = degree - i
         exact = factorial(i) * factorial(j) / factorial(i + j + 2)
-        found = weight @ (barycentric[:, 1] ** i * barycentric[:, 2] ** j)
-        worst = max(worst, abs(found / exact - 1))
+        integral = weight @ (barycentric[:, 1] ** i * barycentric[:, 2] ** j)
+        worst = max(worst, abs(integral / exact - 1))
     return worst
 
 

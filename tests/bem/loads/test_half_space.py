@@ -30,10 +30,10 @@ def tensor(profile, s, angle, nu):
     second, outward)."""
     e1, e2 = plane_axes()
     s, angle = np.broadcast_arrays(np.asarray(s, dtype=float), angle)
-    place = RADIUS * s[:, None] * (np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2)
+    offset = RADIUS * s[:, None] * (np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2)
     disc = PressureDisc(CENTRE, RADIUS, PROFILES[profile])
     potentials = disc_potentials(disc.profile)
-    constant, slope = disc_displacement(disc, potentials, NORMAL, CENTRE + place)
+    constant, slope = disc_displacement(disc, potentials, NORMAL, CENTRE + offset)
     frame = np.stack([e1, e2, NORMAL])
     return np.einsum("ai,nij,bj->nab", frame, constant + nu * slope, frame)
 
@@ -44,7 +44,7 @@ def test_far_away_it_is_boussinesq_and_cerruti(profile, nu):
     s, angle = np.array([60.0]), 0.7
     r = RADIUS * s[0]
     x, y = np.cos(angle), np.sin(angle)
-    found = tensor(profile, s, angle, nu)[0] * 2 * np.pi * r
+    displacement = tensor(profile, s, angle, nu)[0] * 2 * np.pi * r
     half = 0.5 * (1 - 2 * nu)
     # Johnson, eq. 3.18, 3.19 and 3.77 at the surface; the outward axis points away from the solid:
     # pushed along x, the ground ahead rises, and pulled outward it draws away.
@@ -54,26 +54,26 @@ def test_far_away_it_is_boussinesq_and_cerruti(profile, nu):
         [-half * x, -half * y, 1 - nu],
     ]
     # A disc differs from a point by its second moment over the distance squared.
-    np.testing.assert_allclose(found, expected, atol=1e-4)
+    np.testing.assert_allclose(displacement, expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
 def test_uniform_disc_settles_by_an_elliptic_integral(nu):
     s = np.linspace(0, 0.95, 8)
-    found = tensor("uniform", s, 0.3, nu)[:, 2, 2]
+    displacement = tensor("uniform", s, 0.3, nu)[:, 2, 2]
     exact = (1 - nu) / (2 * np.pi) * 4 * ellipe(s**2) / (np.pi * RADIUS)
     # Interpolants of degree 32; their nodes, which know the square root at the rim, are exact.
-    np.testing.assert_allclose(found, exact, rtol=3e-8)
+    np.testing.assert_allclose(displacement, exact, rtol=3e-8)
     potential = chord_integrals(PROFILES["uniform"], s)[:, 0]
     np.testing.assert_allclose(potential, 4 * ellipe(s**2) / np.pi, rtol=1e-12)
 
 
 def test_flat_punch_settles_evenly():
     s, nu = np.linspace(0, 0.95, 9), 0.2
-    found = tensor("flat", s, 0.8, nu)[:, 2, 2]
+    displacement = tensor("flat", s, 0.8, nu)[:, 2, 2]
     # Johnson, eq. 3.36: the depth under one newton. Twelve radii leave 2e-8 close to the rim,
     # where the pressure is infinite.
-    np.testing.assert_allclose(found, (1 - nu) / (4 * RADIUS), rtol=1e-6)
+    np.testing.assert_allclose(displacement, (1 - nu) / (4 * RADIUS), rtol=1e-6)
 
 
 @pytest.mark.parametrize("profile", PROFILES)
@@ -81,19 +81,19 @@ def test_interpolants_are_the_integrals(profile):
     rim = np.logspace(-4, -1, 10)
     s = np.concatenate([np.linspace(0, 8.0, 200), 1 - rim, 1 + rim])
     exact = chord_integrals(PROFILES[profile], s)
-    found = disc_potentials(PROFILES[profile]).at(s)
+    potentials = disc_potentials(PROFILES[profile]).at(s)
     # What the pressure's own singularity leaves: at the rim of a flat punch, the centre of a cone.
     tolerance = {"flat": 2e-4, "cone": 1e-3}.get(profile, 1e-6)
-    np.testing.assert_allclose(found, exact, atol=tolerance * exact.max())
+    np.testing.assert_allclose(potentials, exact, atol=tolerance * exact.max())
 
 
 def test_hertz_disc_settles_by_a_parabola():
     s = np.linspace(0, 0.95, 9)
     nu = 0.3
-    found = tensor("hertz", s, 1.0, nu)[:, 2, 2]
+    displacement = tensor("hertz", s, 1.0, nu)[:, 2, 2]
     exact = 3 * (1 - nu) * (2 - s**2) / (16 * RADIUS)
     # Twelve radii leave 3e-9 close to the rim.
-    np.testing.assert_allclose(found, exact, rtol=1e-7)
+    np.testing.assert_allclose(displacement, exact, rtol=1e-7)
 
 
 @pytest.mark.parametrize("profile", PROFILES)
@@ -111,11 +111,11 @@ def test_radial_pull_of_a_normal_load(profile):
         + np.minimum(s, 1) ** 2 * np.arccosh(1 / np.minimum(s, 1)),
     }[profile]
     nu = 0.2
-    found = tensor(profile, s, 0.0, nu)[:, 0, 2]
+    displacement = tensor(profile, s, 0.0, nu)[:, 0, 2]
     # The cone's pressure has no bound at its centre.
     tolerance = 2e-3 if profile == "cone" else 1e-5
     exact = (1 - 2 * nu) / (4 * np.pi * RADIUS * s) * share
-    np.testing.assert_allclose(found, exact, rtol=tolerance)
+    np.testing.assert_allclose(displacement, exact, rtol=tolerance)
 
 
 def test_reciprocity_across_the_disc():
@@ -128,17 +128,17 @@ def test_it_is_linear_in_poisson_ratio_and_scales_with_one_over_length():
     np.testing.assert_allclose(middle, 0.5 * (low + high), rtol=1e-12)
     disc = PressureDisc(np.zeros(3), 1.0, PROFILES["smooth"])
     twice = PressureDisc(np.zeros(3), 2.0, PROFILES["smooth"])
-    place = np.array([[0.3, 0.4, 0.0]])
+    offset = np.array([[0.3, 0.4, 0.0]])
     up, potentials = np.array([0.0, 0.0, 1.0]), disc_potentials(PROFILES["smooth"])
-    one = disc_displacement(disc, potentials, up, place)
-    other = disc_displacement(twice, potentials, up, 2 * place)
-    np.testing.assert_allclose(one, 2 * other, rtol=1e-12)
+    first = disc_displacement(disc, potentials, up, offset)
+    other = disc_displacement(twice, potentials, up, 2 * offset)
+    np.testing.assert_allclose(first, 2 * other, rtol=1e-12)
 
 
 def test_a_push_along_the_surface_is_the_sum_of_cerruti_s_points():
     """Just outside a smooth disc, where ahead and aside differ most from a point's."""
     s, nu = 1.2, 0.4
-    found = tensor("smooth", [s], 0.0, nu)[0] * 2 * np.pi * RADIUS
+    displacement = tensor("smooth", [s], 0.0, nu)[0] * 2 * np.pi * RADIUS
     # Midpoint rule; the profile falls to zero with its slope at the rim.
     radius, angle = np.meshgrid((np.arange(400) + 0.5) / 400, np.arange(400) / 400 * 2 * np.pi)
     weight = radius * PROFILES["smooth"](radius)
@@ -147,4 +147,4 @@ def test_a_push_along_the_surface_is_the_sum_of_cerruti_s_points():
     for k, axis in enumerate((x, y)):
         exact = (weight * (1 - nu + nu * (axis / r) ** 2) / r).sum() / weight.sum()
         # 400 steps each way, second order.
-        np.testing.assert_allclose(found[k, k], exact, rtol=1e-4)
+        np.testing.assert_allclose(displacement[k, k], exact, rtol=1e-4)

@@ -75,8 +75,8 @@ def coarse():
 
 def test_the_correction_brings_a_coarse_mesh_closer_to_a_fine_one(fine, coarse):
     vertices, reference = fine
-    own = coarse.surface.mesh.vertices
-    same = np.linalg.norm(own[:, None] - vertices[None], axis=2).argmin(axis=1)
+    coarse_vertices = coarse.surface.mesh.vertices
+    same = np.linalg.norm(coarse_vertices[:, None] - vertices[None], axis=2).argmin(axis=1)
     exact = reference[same]
     with_correction, without = (
         np.linalg.norm(pressed(coarse, corrected=corrected) - exact) / np.linalg.norm(exact)
@@ -98,8 +98,8 @@ def test_between_vertices_a_coarse_mesh_has_the_dip_of_a_fine_one():
     exact = moved_by(fine, top_load(fine.surface.mesh, BETWEEN))
     points = fine.surface.mesh.vertices
     about = np.linalg.norm(points - BETWEEN, axis=1) < 3 * RADIUS
-    place = closest_points(coarse.surface.mesh, points[about])
-    where = place.triangle, place.barycentric
+    closest = closest_points(coarse.surface.mesh, points[about])
+    where = closest.triangle, closest.barycentric
     load = top_load(coarse.surface.mesh, BETWEEN)
     at_points = interpolation_matrix(coarse.surface.displacement, *where)
     interpolated = at_points @ moved_by(coarse, load)
@@ -108,8 +108,8 @@ def test_between_vertices_a_coarse_mesh_has_the_dip_of_a_fine_one():
     with_dip = interpolated + (constant + NU * slope) @ PUSH
     largest = np.linalg.norm(exact[about], axis=1).max()
     errors = []
-    for found in (with_dip, interpolated):
-        error = found - exact[about]
+    for displacement in (with_dip, interpolated):
+        error = displacement - exact[about]
         # The rims of the two supports differ, so one ball has moved a little farther as a whole.
         errors.append(np.linalg.norm(error - error.mean(axis=0), axis=1).max() / largest)
     # The element is wider than the patch; the interpolation of what is smooth leaves 1 %.
@@ -160,12 +160,12 @@ def pressed_cube(cells, *, corrected):
 @pytest.mark.slow
 def test_the_correction_holds_up_to_an_edge_of_the_object():
     vertices, exact = pressed_cube(12, corrected=True)
-    own, with_correction = pressed_cube(4, corrected=True)
-    same = np.linalg.norm(own[:, None] - vertices[None], axis=2).argmin(axis=1)
+    coarse_vertices, with_correction = pressed_cube(4, corrected=True)
+    same = np.linalg.norm(coarse_vertices[:, None] - vertices[None], axis=2).argmin(axis=1)
     _, without = pressed_cube(4, corrected=False)
     errors = [
-        np.linalg.norm(found - exact[same]) / np.linalg.norm(exact[same])
-        for found in (with_correction, without)
+        np.linalg.norm(displacement - exact[same]) / np.linalg.norm(exact[same])
+        for displacement in (with_correction, without)
     ]
     # A half space knows nothing of the edge: what that changes stays, a little more than half.
     assert errors[0] < 0.75 * errors[1]
@@ -185,11 +185,11 @@ def test_only_midside_nodes_around_the_patch_are_corrected(coarse):
     surface = coarse.surface
     (local,) = indentation_corrections(surface, [top_load(surface.mesh)])
     row = surface.displacement.element[:, 3:] - surface.displacement.n_nodes
-    place = np.empty((surface.displacement.weights.shape[0], 3))
-    place[row.ravel()] = surface.element_nodes[:, 3:].reshape(-1, 3)
+    position = np.empty((surface.displacement.weights.shape[0], 3))
+    position[row.ravel()] = surface.element_nodes[:, 3:].reshape(-1, 3)
     # 2.5 edges of at most 0.6 beyond the radius.
-    assert np.linalg.norm(place[local.midside_nodes] - TOP, axis=1).max() < RADIUS + 2.5 * 0.6
-    assert (place[local.midside_nodes][:, 2] > 0).all()
+    assert np.linalg.norm(position[local.midside_nodes] - TOP, axis=1).max() < RADIUS + 2.5 * 0.6
+    assert (position[local.midside_nodes][:, 2] > 0).all()
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])

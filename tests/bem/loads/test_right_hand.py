@@ -58,9 +58,9 @@ def test_load_columns_are_kelvins_tensor():
     tensor = np.stack([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
     expected = 0.5 * ((3 - 4 * nu) * (xx + yy + zz) * np.eye(3)[:, :, None] + tensor)
     balance = np.diag([1.0, 2.0, 3.0])
-    found = load_columns(fields, balance).at(nu)[:, 3:]
-    np.testing.assert_allclose(found[:15].reshape(3, 5, 3).transpose(0, 2, 1), expected, rtol=1e-13)
-    assert np.array_equal(found[15:], balance)
+    right = load_columns(fields, balance).at(nu)[:, 3:]
+    np.testing.assert_allclose(right[:15].reshape(3, 5, 3).transpose(0, 2, 1), expected, rtol=1e-13)
+    assert np.array_equal(right[15:], balance)
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
@@ -70,11 +70,11 @@ def test_a_moved_support_is_what_the_matrix_would_take_away(ball, nu):
     surface = ball.surface
     motion = np.random.default_rng(3).normal(size=surface.mesh.vertices.shape)
     held = ball.unknowns.held_vertices
-    found = support_columns(ball, motion[:, :, None]).at(nu)[:, 0]
+    right = support_columns(ball, motion[:, :, None]).at(nu)[:, 0]
     free = replace(ball.unknowns, free_vertices=held)
     matrix = system_matrix(replace(ball, unknowns=free), nu)
     np.testing.assert_allclose(
-        found, -matrix[:, : 3 * held.size] @ motion[held].ravel(), rtol=0, atol=1e-12
+        right, -matrix[:, : 3 * held.size] @ motion[held].ravel(), rtol=0, atol=1e-12
     )
 
 
@@ -134,8 +134,8 @@ def test_a_traction_at_shifted_points_too():
     system = held_part(mesh, np.isin(face, [0, 4]))
     triangles = np.flatnonzero(~system.surface.held)
     # A uniform normal pressure on the free part of a closed surface and its opposite cancel.
-    one = np.broadcast_to([1.0, 2.0, 3.0], (triangles.size, 6, 3)).copy()
-    there, back = (traction_column(system, triangles, sign * one).terms for sign in (1, -1))
+    uniform = np.broadcast_to([1.0, 2.0, 3.0], (triangles.size, 6, 3)).copy()
+    there, back = (traction_column(system, triangles, sign * uniform).terms for sign in (1, -1))
     assert np.array_equal(there, -back)
 
 
@@ -194,9 +194,9 @@ def test_an_incompressible_particular_solution_is_pressure_alone(block):
 
 def test_twice_the_force_is_twice_the_columns(block):
     force = np.array([1.0, -2.0, -7.0])
-    one, two = (body_force_columns(block, scale * force) for scale in (1.0, 2.0))
-    np.testing.assert_allclose(two.right.at(0.3), 2 * one.right.at(0.3), rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(two.particular, 2 * one.particular, rtol=1e-13)
+    single, two = (body_force_columns(block, scale * force) for scale in (1.0, 2.0))
+    np.testing.assert_allclose(two.right.at(0.3), 2 * single.right.at(0.3), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(two.particular, 2 * single.particular, rtol=1e-13)
 
 
 def test_particular_displacement_balances_the_force(block):

@@ -61,10 +61,10 @@ def fields_by_point(cube, load):
     return out
 
 
-@pytest.mark.parametrize(("radius", "place"), PLACES)
+@pytest.mark.parametrize(("radius", "spot"), PLACES)
 @pytest.mark.parametrize("profile", TOTAL)
-def test_points_of_a_round_patch(cube, profile, radius, place):
-    centre, tolerance = np.array([*place, 1.0]), TOLERANCE[profile]
+def test_points_of_a_round_patch(cube, profile, radius, spot):
+    centre, tolerance = np.array([*spot, 1.0]), TOLERANCE[profile]
     points = load_points(cube.surface, load_of(cube, profile, centre, radius))
     np.testing.assert_allclose(points.weight.sum(), 1, rtol=1e-12)
     np.testing.assert_allclose(points.total, radius**2 * TOTAL[profile], rtol=tolerance)
@@ -84,33 +84,33 @@ def test_at_the_vertex_in_the_middle_of_a_patch(cube, profile):
     np.testing.assert_allclose(fields[middle], [half, half, 0, 0, 0, 0], atol=tolerance)
 
 
-@pytest.mark.parametrize(("radius", "place"), PLACES)
-def test_uniform_patch_seen_from_every_vertex_of_its_face(cube, radius, place):
-    centre = np.array([*place, 1.0])
+@pytest.mark.parametrize(("radius", "spot"), PLACES)
+def test_uniform_patch_seen_from_every_vertex_of_its_face(cube, radius, spot):
+    centre = np.array([*spot, 1.0])
     fields = fields_by_point(cube, load_of(cube, "uniform", centre, radius))
     on_top = np.flatnonzero(cube.collocation.point[:, 2] == 1)
     s = np.linalg.norm(cube.collocation.point[on_top] - centre, axis=1) / radius
     inside, far = np.minimum(s, 1) ** 2, 1 / np.maximum(s, 1) ** 2
     outer = 4 * s * (ellipe(far) - (1 - far) * ellipk(np.minimum(far, 1 - 1e-12)))
     exact = np.where(s < 1, 4 * ellipe(inside), outer) / (np.pi * radius)
-    found = fields[on_top, :3].sum(axis=1)
-    np.testing.assert_allclose(found, exact, rtol=5e-4)
+    total = fields[on_top, :3].sum(axis=1)
+    np.testing.assert_allclose(total, exact, rtol=5e-4)
     assert (s < 0.999).sum() == {RADIUS: 5, 0.15: 1}.get(radius, 0)
 
 
-@pytest.mark.parametrize(("radius", "place"), PLACES)
+@pytest.mark.parametrize(("radius", "spot"), PLACES)
 @pytest.mark.parametrize("profile", TOTAL)
-def test_round_patches_seen_from_the_corners_around(cube, profile, radius, place):
+def test_round_patches_seen_from_the_corners_around(cube, profile, radius, spot):
     """Potentials by integrals of one patch on flat ground, whatever triangles it lies on."""
-    centre = np.array([*place, 1.0])
+    centre = np.array([*spot, 1.0])
     load = load_of(cube, profile, centre, radius)
     fields = fields_by_point(cube, load)
     near = np.linalg.norm(cube.collocation.point - centre, axis=1) < 0.2
     on_top = np.flatnonzero(near & (cube.collocation.point[:, 2] == 1))
     s = np.linalg.norm(cube.collocation.point[on_top] - centre, axis=1) / radius
     exact = chord_integrals(load.disc.profile, s)[:, 0] / radius
-    found = fields[on_top, :3].sum(axis=1)
-    np.testing.assert_allclose(found, exact, rtol=TOLERANCE[profile])
+    total = fields[on_top, :3].sum(axis=1)
+    np.testing.assert_allclose(total, exact, rtol=TOLERANCE[profile])
 
 
 def test_vertex_load_is_the_hat_of_its_vertex(cube):
@@ -164,15 +164,15 @@ def test_a_patch_acts_where_the_curved_surface_is(radius):
         load_points(ball.surface, load_of(ball, "hertz", centre, radius))
         for centre in (flat, flat + 0.5 * radius * towards, flat - 0.5 * radius * towards)
     ]
-    for found in points:
-        centre = found.weight @ found.position
+    for patch in points:
+        centre = patch.weight @ patch.position
         # A cap of the ball: its centre is below the pole by less than its height.
         height = radius**2 / 0.3
         # Triangles lean by up to 8 degrees: so much of the distance is along them.
         aside = 0.5 * radius * np.sin(np.radians(8)) / 0.3
         assert np.linalg.norm(centre / np.linalg.norm(centre) - towards) < 0.003 + aside
         assert 0.2995 - height < np.linalg.norm(centre) < 0.302
-        np.testing.assert_allclose(found.total, radius**2 * TOTAL["hertz"], rtol=0.02)
+        np.testing.assert_allclose(patch.total, radius**2 * TOTAL["hertz"], rtol=0.02)
 
 
 def test_rows_that_do_not_resolve_a_patch_keep_the_points_of_the_load(cube):

@@ -82,14 +82,14 @@ def test_linear_fields_between_rollers(rolling, kind, nu):
     field = linear_field(gradient, material)
     x = solve(factorise(system, nu), boundary_data(system, field, material))[:, 0]
     exact = field.displacement(MESH.vertices)
-    found = np.zeros_like(exact)
-    found[unknowns.held_vertices] = np.einsum(
+    solution = np.zeros_like(exact)
+    solution[unknowns.held_vertices] = np.einsum(
         "hij,hj->hi", unknowns.vertex_directions, exact[unknowns.held_vertices]
     )
     count = 3 * unknowns.free_vertices.size
-    found[unknowns.free_vertices] += x[:count].reshape(-1, 3)
+    solution[unknowns.free_vertices] += x[:count].reshape(-1, 3)
     unrestrained = unrestrained_motions(system.surface).reshape(exact.size, left)
-    away = (found - exact).ravel()
+    away = (solution - exact).ravel()
     away -= unrestrained @ np.linalg.lstsq(unrestrained, away, rcond=None)[0]
     # The elements hold a linear field exactly: what is left is round-off, times the condition of
     # the supports (2e-6 at worst) and the pressure that belongs to the field.
@@ -170,12 +170,12 @@ def test_a_block_that_stands_on_rollers_under_its_weight(nu):
     bed = support_columns(system, material.shear * exact[:, :, None])
     parts = solve(factorise(system, nu), np.hstack([body.right.at(nu), bed.at(nu)]))
     factor, count = dilation_factor(nu), 3 * system.unknowns.free_vertices.size
-    found = (parts[:count] @ [1.0, factor, 1.0]).reshape(-1, 3) / material.shear
-    found += factor * body.particular / material.shear
+    displacement = (parts[:count] @ [1.0, factor, 1.0]).reshape(-1, 3) / material.shear
+    displacement += factor * body.particular / material.shear
     bottom = system.unknowns.held_vertices
-    found[bottom, 2] = exact[bottom, 2]
+    displacement[bottom, 2] = exact[bottom, 2]
     unrestrained = unrestrained_motions(surface).reshape(exact.size, 3)
-    away = (found - exact).ravel()
+    away = (displacement - exact).ravel()
     away -= unrestrained @ np.linalg.lstsq(unrestrained, away, rcond=None)[0]
     # The displacement is quadratic and so are the elements: as for the glued block.
     assert np.abs(away).max() < 3e-7 * np.abs(exact).max()
@@ -198,18 +198,18 @@ def held_at_low(mesh, axis, share):
 
 def test_single_precision_is_good_to_a_hundred_thousandth(for_small_bodies):
     system, right = held_at_low(sphere(2), 2, 0.2)
-    single, double = (CentredSystem(system, NU, single=each) for each in (True, False))
+    single, double = (CentredSystem(system, NU, single=in_single) for in_single in (True, False))
     assert single.factorised.lu.dtype == np.float32
     assert single.slope.flux.dtype == np.float32
-    found, wanted = (solve(each.factorised, right) for each in (single, double))
-    assert found.dtype == float
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5 * np.abs(wanted).max())
-    changed, change = (each.slope.apply(wanted) for each in (single, double))
+    actual, wanted = (solve(centred.factorised, right) for centred in (single, double))
+    assert actual.dtype == float
+    np.testing.assert_allclose(actual, wanted, rtol=0, atol=1e-5 * np.abs(wanted).max())
+    changed, change = (centred.slope.apply(wanted) for centred in (single, double))
     assert changed.dtype == float
     # Sums of some thousand products, each to 6e-8.
     np.testing.assert_allclose(changed, change, rtol=0, atol=1e-5 * np.abs(change).max())
     # It is single precision.
-    assert np.abs(found - wanted).max() > 1e-12 * np.abs(wanted).max()
+    assert np.abs(actual - wanted).max() > 1e-12 * np.abs(wanted).max()
 
 
 def test_rollers_are_eliminated_in_single_precision(for_small_bodies):
@@ -218,11 +218,13 @@ def test_rollers_are_eliminated_in_single_precision(for_small_bodies):
     upwards = np.tile(np.diag([0.0, 0.0, 1.0]), (low.size, 1, 1))
     system = boundary_system(make_surface(mesh, low, directions=upwards))
     right = face_columns(system, np.arange(4)).at(NU)
-    single, double = (CentredSystem(system, NU, single=each).factorised for each in (True, False))
+    single, double = (
+        CentredSystem(system, NU, single=in_single).factorised for in_single in (True, False)
+    )
     assert single.elimination is not None
     assert single.lu.dtype == np.float32
-    found, wanted = (solve(each, right) for each in (single, double))
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5 * np.abs(wanted).max())
+    actual, wanted = (solve(factorised, right) for factorised in (single, double))
+    np.testing.assert_allclose(actual, wanted, rtol=0, atol=1e-5 * np.abs(wanted).max())
 
 
 @pytest.mark.slow
@@ -270,9 +272,9 @@ def test_factors_are_read_by_the_next_system_of_the_same_body(ball, rolls, tmp_p
     vector = np.random.default_rng(0).normal(size=(first.system.size, 3))
     moved = matrix_and_slope(first.system, 0.3)[1].apply(vector)
     solved = solve(factorise(first.system, NU), moved)
-    for one in (first, again):
-        np.testing.assert_array_equal(one.slope.apply(vector), moved)
-        np.testing.assert_array_equal(solve(one.factorised, moved), solved)
+    for centred in (first, again):
+        np.testing.assert_array_equal(centred.slope.apply(vector), moved)
+        np.testing.assert_array_equal(solve(centred.factorised, moved), solved)
     assert len(list(tmp_path.iterdir())) == 1
 
 
@@ -292,9 +294,9 @@ def test_all_that_matters_makes_another_file(ball, tmp_path):
     flat = make_surface(mesh, held, smooth=False)
     bodies = [ball, flat, make_surface(mesh, held[1:]), on_rollers(mesh)]
     for count, body in enumerate(bodies):
-        found = factor_values(body, tmp_path)
+        values = factor_values(body, tmp_path)
         assert len(list(tmp_path.iterdir())) == count + 1
-        np.testing.assert_array_equal(found, factor_values(body, None))
+        np.testing.assert_array_equal(values, factor_values(body, None))
     factor_values(ball, tmp_path, quadrature=Quadrature(tolerance=1e-4))
     assert len(list(tmp_path.iterdir())) == len(bodies) + 1
 
@@ -320,9 +322,9 @@ def test_factors_of_another_kind_are_others(ball, other, tmp_path, monkeypatch):
     held = boundary_system(ball, cache=tmp_path)
     assert CentredSystem(held, NU).factorised.poisson_ratio == NU
     monkeypatch.setattr(factors, "_SMALLEST_SINGLE", 0)
-    found = CentredSystem(held, *other).factorised
-    assert found.poisson_ratio == other[0]
-    assert found.lu.dtype == (np.float32 if other[1] else np.float64)
+    factorised = CentredSystem(held, *other).factorised
+    assert factorised.poisson_ratio == other[0]
+    assert factorised.lu.dtype == (np.float32 if other[1] else np.float64)
 
 
 @pytest.mark.parametrize(
@@ -331,11 +333,11 @@ def test_factors_of_another_kind_are_others(ball, other, tmp_path, monkeypatch):
 def test_the_same_factors_as_lapack(size, panel, chunk):
     matrix = np.asfortranarray(np.random.default_rng(size).normal(size=(size, size)))
     expected, order = lu_factor(matrix)
-    found, pivots = lu_by_panels(matrix, panel=panel, chunk=chunk)
-    assert found is matrix
+    lu, pivots = lu_by_panels(matrix, panel=panel, chunk=chunk)
+    assert lu is matrix
     assert np.array_equal(pivots, order)
     # Sums of up to 64 products in another order; no growth beyond a factor of ten.
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(lu, expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("kind", "error"), [(np.float64, 1e-11), (np.float32, 1e-3)])

@@ -106,18 +106,18 @@ def test_what_a_softer_support_changes(glued, compliance):
     springs = make_springs(glued, [BOTTOM], np.array([], dtype=np.int64))
     factors = make_spring_factors(factorise(glued, NU), glued, springs)
     right = face_columns(glued, TOP)
-    one = springs.compliance(np.ones(1))
+    unit = springs.compliance(np.ones(1))
 
     def solved(at, compliance_derivatives):
-        found = make_spring_system(factors, at * one, compliance_derivatives)
-        return found.solve(right.on_springs(at * one, compliance_derivatives).at(NU))
+        system = make_spring_system(factors, at * unit, compliance_derivatives)
+        return system.solve(right.on_springs(at * unit, compliance_derivatives).at(NU))
 
     step = 1e-5
     difference = (
-        solved(compliance + step, one[None][:0]) - solved(compliance - step, one[None][:0])
+        solved(compliance + step, unit[None][:0]) - solved(compliance - step, unit[None][:0])
     ) / (2 * step)
-    value, slope = np.split(solved(compliance, one[None]), 2)
-    np.testing.assert_allclose(value, solved(compliance, one[None][:0]), rtol=1e-12)
+    value, slope = np.split(solved(compliance, unit[None]), 2)
+    np.testing.assert_allclose(value, solved(compliance, unit[None][:0]), rtol=1e-12)
     # A difference of 1e-5 leaves 1e-10 of the third derivative, and rounding of 1e-16 / 1e-5.
     np.testing.assert_allclose(slope, difference, atol=1e-6 * np.abs(difference).max())
 
@@ -135,7 +135,9 @@ def test_springs_that_two_supports_share(glued):
     np.testing.assert_allclose(springs.compliance(both), share @ both)
     np.testing.assert_array_equal(springs.compliance_derivatives(both), share.T)
     # One is rigid: what it holds, alone or together, does not give, however the other changes.
-    one = np.array([0.0, 5e-8])
-    np.testing.assert_allclose(springs.compliance(one), np.where(share[:, 0] > 0.0, 0.0, one[1]))
-    assert (springs.compliance_derivatives(one)[:, shared] == 0.0).all()
-    assert (springs.compliance_derivatives(one)[1, share[:, 1] == 1.0] == 1.0).all()
+    compliance = np.array([0.0, 5e-8])
+    np.testing.assert_allclose(
+        springs.compliance(compliance), np.where(share[:, 0] > 0.0, 0.0, compliance[1])
+    )
+    assert (springs.compliance_derivatives(compliance)[:, shared] == 0.0).all()
+    assert (springs.compliance_derivatives(compliance)[1, share[:, 1] == 1.0] == 1.0).all()

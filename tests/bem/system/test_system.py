@@ -44,13 +44,15 @@ def test_linear_fields_on_a_cube(held_cube, kind, nu):
     system, face = held_cube
     material = Material(2.5, nu)
     field = linear_field(gradient_of(kind, nu), material)
-    found, traction = solve_known(system, field, material, quadrature=Quadrature(tolerance=1e-9))
+    displacement, traction = solve_known(
+        system, field, material, quadrature=Quadrature(tolerance=1e-9)
+    )
     vertices = system.surface.mesh.vertices
     exact = field.displacement(vertices)
     # The elements hold a linear field exactly and the quadrature outdoes its 1e-9: round-off is
     # left, times the pressure that belongs to the field (lame is 500 G at nu 0.499). The issue asks
     # for 1e-6.
-    assert np.abs(found - exact).max() < 1e-11 * np.abs(exact).max()
+    assert np.abs(displacement - exact).max() < 1e-11 * np.abs(exact).max()
     side_face = np.zeros(system.surface.traction.n_nodes, dtype=np.int64)
     side_face[system.surface.sides.corner.ravel()] = np.repeat(face, 3)
     sigma = field.stress(np.zeros((1, 3)))[0]
@@ -69,10 +71,10 @@ def cube_system():
 def test_default_quadrature_passes_the_patch_test(cube_system):
     material = Material(1.0, 0.3)
     field = linear_field(TURNED, material)
-    found, _ = solve_known(cube_system, field, material)
+    displacement, _ = solve_known(cube_system, field, material)
     exact = field.displacement(cube_system.surface.mesh.vertices)
     # The default tolerance is 1e-6 in each integral.
-    assert np.abs(found - exact).max() < 1e-6 * np.abs(exact).max()
+    assert np.abs(displacement - exact).max() < 1e-6 * np.abs(exact).max()
 
 
 def test_slope_is_the_difference_of_matrices(cube_system):
@@ -171,11 +173,11 @@ def test_shifted_points_lie_in_held_faces_near_their_vertex():
     surface, _, collocation = bounded([0, 2, 4])
     inside = collocation.vertex < 0
     assert surface.held[collocation.triangle[inside]].all()
-    place = closest_points(surface.mesh, collocation.point[inside])
+    closest = closest_points(surface.mesh, collocation.point[inside])
     # On the surface up to round-off, and off every edge so that the polar coordinates work.
-    assert place.distance.max() < 1e-15
-    assert np.array_equal(place.triangle, collocation.triangle[inside])
-    np.testing.assert_allclose(place.barycentric, collocation.barycentric[inside], atol=1e-12)
+    assert closest.distance.max() < 1e-15
+    assert np.array_equal(closest.triangle, collocation.triangle[inside])
+    np.testing.assert_allclose(closest.barycentric, collocation.barycentric[inside], atol=1e-12)
     # One point for each of the three faces at the common corner.
     corner = np.linalg.norm(collocation.point[inside], axis=1) < 0.25 * np.sqrt(2) / CELLS
     assert corner.sum() == 3

@@ -53,7 +53,7 @@ def session(stiffness, *, directions=UP, noise=0.0, probings=1, **errors):
     rng = np.random.default_rng(0)
     points = rng.uniform(0.1, 0.9, (120, 3)) * SIZE
     points[:60, 0], points[60:, 1] = 0.0, SIZE[1]
-    place = closest_points(MESH, points)
+    surface = closest_points(MESH, points)
     contact = Contact(MIDDLE[TOP].mean(axis=0), None, "uniform", TOP)
     probes = []
     for k in range(probings):
@@ -61,7 +61,7 @@ def session(stiffness, *, directions=UP, noise=0.0, probings=1, **errors):
         moved = pressed(points, -force[2])
         moved = moved + noise * rng.standard_normal(moved.shape)
         field = DisplacementField(
-            points, moved, np.full_like(moved, max(noise, 1e-7)), None, place, "n.csv"
+            points, moved, np.full_like(moved, max(noise, 1e-7)), None, surface, "n.csv"
         )
         probes.append(Probing(f"n{k}", contact, force, np.full(3, 1e-6), None, None, field, None))
     support = Support(BOTTOM, directions=directions, stiffness=stiffness)
@@ -92,15 +92,15 @@ def test_a_platen_that_gives_more_than_it_is_said_to_is_an_error_with_a_prior():
     blind = fit_session(session(None, **noise)).estimate
     low, high = blind.young_modulus.ci95
     assert not low < YOUNG < high
-    told = fit_session(session(None, support_compliance=2.0 / STIFFNESS, **noise)).estimate
-    (given,) = [one for one in told.errors if one.name == "compliance of support 1"]
+    estimate = fit_session(session(None, support_compliance=2.0 / STIFFNESS, **noise)).estimate
+    (given,) = [error for error in estimate.errors if error.name == "compliance of support 1"]
     assert (given.unit, given.prior_std) == ("m/Pa", 2.0 / STIFFNESS)
     # The platen's part of the motion is told apart from the block's by points at all heights.
     assert abs(given.value - 1.0 / STIFFNESS) < 4.0 * given.std < 0.2 / STIFFNESS
     for name, value in (("young_modulus", YOUNG), ("poisson_ratio", NU)):
-        found = getattr(told, name)
-        assert abs(found.value - value) < 3.0 * found.std, name
-    assert told.young_modulus.value == pytest.approx(YOUNG, rel=0.01)
+        constant = getattr(estimate, name)
+        assert abs(constant.value - value) < 3.0 * constant.std, name
+    assert estimate.young_modulus.value == pytest.approx(YOUNG, rel=0.01)
 
 
 def test_the_settlement_is_told_apart_from_the_objects_own_motion():
@@ -166,8 +166,8 @@ def test_a_small_compliance_moves_the_points_as_springs_do():
 
     def moved(stiffness):
         there = session(stiffness, directions=None)
-        (one,) = session_observations(there, make_object_model(there), shear_modulus=SHEAR)
-        return one.response.value(0.3) @ load
+        (observations,) = session_observations(there, make_object_model(there), shear_modulus=SHEAR)
+        return observations.response.value(0.3) @ load
 
     given = moved(1.0 / std) - moved(None)
     # Springs that give 1e-9 m/Pa are 1e-2 of the elements under them: so much is the next order.
@@ -208,14 +208,14 @@ def test_a_stiff_block_under_its_weight(gravity):
     shear, density, gravity = 1e11, 1000.0, np.array(gravity)
     given = replace(session(STIFFNESS, directions=None), density=density, gravity=gravity)
     (seen,) = session_observations(given, make_object_model(given), shear_modulus=shear)
-    found = seen.response.value(NU)[:, 3].reshape(-1, 3) / shear
+    displacement = seen.response.value(NU)[:, 3].reshape(-1, 3) / shear
     weight = density * gravity * SIZE.prod()
     inertia = SIZE[0] ** 3 * SIZE[1] / 12
     turn = np.cross([0.0, 0.0, 0.5 * SIZE[2]], weight) / (STIFFNESS * inertia)
     exact = weight / (STIFFNESS * AREA) + np.cross(turn, seen.position - AXIS)
     # Moments balance to the mesh's accuracy; what the particular solution of gravity presses on the
     # foot has 7 % of the moment.
-    np.testing.assert_allclose(found, exact, atol=0.02 * np.abs(exact).max())
+    np.testing.assert_allclose(displacement, exact, atol=0.02 * np.abs(exact).max())
 
 
 def test_a_poke_on_a_platen_that_gives():

@@ -69,7 +69,9 @@ def _seen(session: Session):
 def test_the_parameter_stands_for_what_the_dip_adds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Against the model whose elements know nothing of dips."""
     seen = _seen(_session(2, GAIN))
-    (error,) = [one for one in seen.nuisances if NAME in [p.name for p in one.parameters]]
+    (error,) = [
+        nuisance for nuisance in seen.nuisances if NAME in [p.name for p in nuisance.parameters]
+    ]
     rows = np.arange(seen.displacement.size)
     load = np.append(seen.force, 1.0) / MODULUS
     with_dips = seen.response.value(NU)[rows]
@@ -79,7 +81,7 @@ def test_the_parameter_stands_for_what_the_dip_adds(monkeypatch: pytest.MonkeyPa
         lambda _, loads: [None] * len(loads),
     )
     without = _seen(_session(2, GAIN))
-    assert NAME not in [p.name for one in without.nuisances for p in one.parameters]
+    assert NAME not in [p.name for nuisance in without.nuisances for p in nuisance.parameters]
     step = (with_dips - without.response.value(NU)[rows])[:, :3] @ seen.force / MODULUS
     assert np.abs(step).max() > 1e-7
     # Both models are reduced to a residual of 1e-8.
@@ -89,34 +91,35 @@ def test_the_parameter_stands_for_what_the_dip_adds(monkeypatch: pytest.MonkeyPa
 def test_the_dip_is_an_error_of_the_model() -> None:
     """Its size near the contact counts in the model's error of unknown shape."""
     seen = _seen(_session(2, GAIN))
-    every = [one for error in seen.nuisances for one in error.parameters]
-    assert [one.name for one in every if one.is_model_error] == [NAME]
+    every = [parameter for error in seen.nuisances for parameter in error.parameters]
+    assert [parameter.name for parameter in every if parameter.is_model_error] == [NAME]
 
 
 def test_the_mesh_is_not_exact_where_the_laboratory_is() -> None:
     """What a session says of its sensors says nothing about triangles."""
     (error,) = _seen(_session(2, EXACT)).nuisances
-    assert [one.name for one in error.parameters] == [NAME]
+    assert [parameter.name for parameter in error.parameters] == [NAME]
 
 
 def _left(deviations: float) -> float:
     """What first and second derivatives leave of a contact that lies beside its place, over the
     largest displacement."""
     std = 5e-4
-    told = _session(3, replace(EXACT, contact_point=std))
-    (probing,) = told.probings
-    seen = _seen(told)
-    error = next(one for one in seen.nuisances if one.curvature is not None)
+    session = _session(3, replace(EXACT, contact_point=std))
+    (probing,) = session.probings
+    seen = _seen(session)
+    error = next(nuisance for nuisance in seen.nuisances if nuisance.curvature is not None)
     rows, load = np.arange(seen.displacement.size), np.append(seen.force, 1.0) / MODULUS
     nominal = seen.response.value(NU)[rows]
     slope = columns_of(error, nominal, load, NU)[:, 0]
     curvature = curvature_of(error, nominal, load, NU)[:, 0, 0]
     # The first tangent of a contact on top is x.
     there = closest_points(
-        told.mesh, probing.contact.point + np.array([[0.0, 0.0, 0.0], [deviations * std, 0.0, 0.0]])
+        session.mesh,
+        probing.contact.point + np.array([[0.0, 0.0, 0.0], [deviations * std, 0.0, 0.0]]),
     ).position
     contact = replace(probing.contact, point=probing.contact.point + there[1] - there[0])
-    other = _seen(replace(told, probings=(replace(probing, contact=contact),), errors=EXACT))
+    other = _seen(replace(session, probings=(replace(probing, contact=contact),), errors=EXACT))
     moved = (other.response.value(NU)[rows] - nominal)[:, :3] @ seen.force / MODULUS
     rest = moved - deviations * slope - 0.5 * deviations**2 * curvature
     return float(np.abs(rest).max() / np.abs(nominal[:, :3] @ seen.force / MODULUS).max())
@@ -158,17 +161,17 @@ def test_it_is_the_traction_itself(system: BoundarySystem) -> None:
     # Pushed down, along minus z.
     loads, forces = zip(*outward_pushes(patch, UP, -UP), strict=True)
     dips = indentation_corrections(system.surface, loads)
-    found = sum(
+    columns = sum(
         load_right_hand(system, [load], [dip]).terms @ force
         for load, dip, force in zip(loads, dips, forces, strict=True)
     )
     # Six-node triangles at the rim miss some of its square root, and
     # know nothing of the dip between the vertices: 7 %.
-    down = found[:, :-3]
+    down = columns[:, :-3]
     miss = np.linalg.norm(down - direct.terms[:, :-3, 0]) / np.linalg.norm(down)
     assert miss < 0.1
     # It has no resultant.
-    assert np.abs(found[:, -3:]).max() < 1e-12 * np.abs(found).max()
+    assert np.abs(columns[:, -3:]).max() < 1e-12 * np.abs(columns).max()
 
 
 def test_what_has_an_outward_part(system: BoundarySystem) -> None:

@@ -128,7 +128,7 @@ def test_the_error_at_the_rim_falls(nu: float) -> None:
     """Against half as many cells again along an edge, graded twice."""
     given = _session(4)
     truth = _moved(graded_session(graded_session(_session(6))), nu)
-    error = [np.linalg.norm(_moved(one, nu) - truth) for one in (given, graded_session(given))]
+    error = [np.linalg.norm(_moved(body, nu) - truth) for body in (given, graded_session(given))]
     # Corners and edges of the cube, not graded, are a part of what is left.
     assert error[1] < 0.6 * error[0]
 
@@ -179,17 +179,17 @@ def _punched(
 def test_long_edges_about_a_flat_punch_are_cut() -> None:
     given = _punched(6)
     fine = refined_session(given)
-    place = given.probings[0].contact.point
+    point = given.probings[0].contact.point
     # Under a smooth pressure only diagonals that cut off a corner of the cube are.
     smooth = refined_session(_punched(6, profile="hertz")).mesh.vertices
     new = fine.mesh.vertices[~np.isin(fine.mesh.vertices, smooth).all(axis=1)]
-    away = np.linalg.norm(new - place, axis=1)
+    away = np.linalg.norm(new - point, axis=1)
     assert 15 < len(new) < 60
     # Its own length from the punch: 6.7 mm, 9.4 mm across a square.
     assert away.max() < 0.004 + 0.0095
     again = refined_session(refined_session(fine)).mesh
     edge = again.vertices[again.triangles] - np.roll(again.vertices[again.triangles], 1, axis=1)
-    under = np.linalg.norm(again.vertices[again.triangles].mean(axis=1) - place, axis=1) < 0.004
+    under = np.linalg.norm(again.vertices[again.triangles].mean(axis=1) - point, axis=1) < 0.004
     # At most half its radius.
     assert np.linalg.norm(edge[under], axis=2).max() < 0.0021
 
@@ -198,7 +198,7 @@ def test_the_error_about_a_flat_punch_falls() -> None:
     """Against more than twice as many cells along an edge, which need not be cut."""
     given = _punched(6)
     truth = _moved(_punched(13), 0.3)
-    error = [np.linalg.norm(_moved(one, 0.3) - truth) for one in (given, refined_session(given))]
+    error = [np.linalg.norm(_moved(body, 0.3) - truth) for body in (given, refined_session(given))]
     # The rim of the support is a part of what is left.
     assert error[1] < 0.6 * error[0]
 
@@ -210,7 +210,7 @@ def test_a_mesh_follows_a_contact_that_an_edge_crosses() -> None:
     truth = _moved(refined_session(_punched(9, **where)), 0.3)
     fine = refined_session(given)
     errors = [
-        np.linalg.norm(_moved(one, 0.3) - truth) / np.linalg.norm(truth) for one in (given, fine)
+        np.linalg.norm(_moved(body, 0.3) - truth) / np.linalg.norm(truth) for body in (given, fine)
     ]
     # The coarse mesh elsewhere leaves 0.7 %.
     assert errors[1] < 0.01
@@ -253,7 +253,7 @@ def test_the_error_in_a_hollow_edge_falls() -> None:
     """Against half as many cells again along an edge, graded twice."""
     given = _angle(2)
     truth = _moved(graded_session(graded_session(_angle(3))), 0.3)
-    error = [np.linalg.norm(_moved(one, 0.3) - truth) for one in (given, graded_session(given))]
+    error = [np.linalg.norm(_moved(body, 0.3) - truth) for body in (given, graded_session(given))]
     assert error[1] < 0.5 * error[0]
 
 
@@ -291,7 +291,7 @@ def test_a_smooth_body_has_no_edges_to_cut() -> None:
 def test_a_session_goes_along() -> None:
     given = _session(4)
     fine = graded_session(given)
-    before, after = (one.probings[0].displacement.surface.position for one in (given, fine))
+    before, after = (body.probings[0].displacement.surface.position for body in (given, fine))
     np.testing.assert_allclose(after, before, atol=1e-12)
     corners = fine.mesh.vertices[fine.mesh.triangles[fine.held_triangles]]
     assert np.isclose(corners[:, :, 2], 0.0).all()
@@ -325,8 +325,8 @@ def test_a_plate_bends_as_it_should() -> None:
     nu = 0.3
     truth = _moved(graded_session(_plate(4)), nu)
     given, resolved = (
-        np.linalg.norm(_moved(graded_session(one), nu) - truth) / np.linalg.norm(truth)
-        for one in (_plate(1), refined_session(_plate(1)))
+        np.linalg.norm(_moved(graded_session(plate), nu) - truth) / np.linalg.norm(truth)
+        for plate in (_plate(1), refined_session(_plate(1)))
     )
     assert given > 0.1
     # As much as meshes of 5 mm differ among themselves.

@@ -66,8 +66,8 @@ def _session(push: float) -> Session:
 def _correction(push: float) -> np.ndarray:
     # The order is that of any elements.
     body = make_finite_body(_session(push), coarser=2.0)
-    (found,) = strain_corrections(body, MaterialConstants(SHEAR, NU))
-    return found.value
+    (correction,) = strain_corrections(body, MaterialConstants(SHEAR, NU))
+    return correction.value
 
 
 def test_it_is_of_second_order_in_the_load() -> None:
@@ -101,12 +101,12 @@ def test_weight_at_rest_makes_a_column_that_stands_softer_and_one_that_hangs_sti
         down = np.array([0.0, 0.0, gravity])
         weighed = replace(column, gravity=down, gravity_at_rest=True)
         body = make_finite_body(weighed, coarser=1.2)
-        (found,) = strain_corrections(body, MaterialConstants(SHEAR, NU))
+        (correction,) = strain_corrections(body, MaterialConstants(SHEAR, NU))
         elastic = make_body(body.solid, body.held, shear_modulus=SHEAR, poisson_ratio=NU)
         linear = (body.observed[0] @ solve_load(elastic, body.loads[0]))[0, 0]
-        changes.append(found.value[0, 0] / linear)
+        changes.append(correction.value[0, 0] / linear)
         # It is counted from where the column rests; by its weight it has sunk ten times as far.
-        assert abs(found.value[0, 2]) < 0.2 * abs(linear)
+        assert abs(correction.value[0, 2]) < 0.2 * abs(linear)
     stands, hangs = changes
     stiffness = 1e-6 / abs(linear)
     expected = 3 / 8 * 50.0 * 9.81 * 0.012**2 / stiffness
@@ -142,15 +142,15 @@ def test_a_tool_on_an_object_that_sags() -> None:
     touched = replace(probing, contact=Contact.under(Sphere(RADIUS), PLACE))
     light = replace(session, probings=(touched,))
     heavy = replace(light, density=1000.0, gravity=np.array([0.0, 0.1, -0.1]), gravity_at_rest=True)
-    without, found = (
-        strain_corrections(make_finite_body(each, coarser=2.0), MaterialConstants(SHEAR, NU))[0]
-        for each in (light, heavy)
+    without, sagging = (
+        strain_corrections(make_finite_body(given, coarser=2.0), MaterialConstants(SHEAR, NU))[0]
+        for given in (light, heavy)
     )
     # The weight strains it by a ten thousandth, and turns the skin by twice as much.
-    change = np.abs(found.value - without.value).max()
+    change = np.abs(sagging.value - without.value).max()
     assert 0.0 < change < 3e-3 * np.abs(without.value).max()
-    for own, other in zip(found.slope, without.slope, strict=True):
-        assert np.linalg.norm(own - other) < 5e-3 * np.linalg.norm(other)
+    for slope, other in zip(sagging.slope, without.slope, strict=True):
+        assert np.linalg.norm(slope - other) < 5e-3 * np.linalg.norm(other)
 
 
 def test_what_presses_alike_is_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,9 +175,9 @@ def test_what_presses_alike_is_solved_once(monkeypatch: pytest.MonkeyPatch) -> N
 def test_slopes_are_those_of_the_corrections() -> None:
     body = make_finite_body(_session(1.0), coarser=2.0)
     at = MaterialConstants(SHEAR, NU, 2.0)
-    (found,) = strain_corrections(body, at)
+    (correction,) = strain_corrections(body, at)
     steps = {"shear_modulus": 20.0, "poisson_ratio": 1e-3, "stiffening": 1e-2}
-    for slope, (name, step) in zip(found.slope, steps.items(), strict=True):
+    for slope, (name, step) in zip(correction.slope, steps.items(), strict=True):
         ahead, behind = (
             strain_corrections(body, replace(at, **{name: getattr(at, name) + s * step}))[0]
             for s in (1, -1)
@@ -187,8 +187,8 @@ def test_slopes_are_those_of_the_corrections() -> None:
         # Central differences of relative steps of a thousandth.
         assert np.linalg.norm(slope - expected) < 1e-4 * np.linalg.norm(expected), name
         # The same, from the other side.
-        near = found.at(replace(at, **{name: getattr(at, name) + step}))
-        assert np.abs(near - ahead.value).max() < 0.01 * np.abs(near - found.value).max()
+        near = correction.at(replace(at, **{name: getattr(at, name) + step}))
+        assert np.abs(near - ahead.value).max() < 0.01 * np.abs(near - correction.value).max()
 
 
 @pytest.mark.slow
@@ -209,26 +209,26 @@ def test_stiffening_comes_out_of_several_depths() -> None:
             if law is not None:
                 nodal = solve_finite(body, times * load, law=law)
             field = replace(probing.displacement, displacement=seen @ nodal)
-            own = {"name": f"n{times}", "force": times * probing.force}
-            probings.append(replace(probing, displacement=field, **own))
+            changes = {"name": f"n{times}", "force": times * probing.force}
+            probings.append(replace(probing, displacement=field, **changes))
         return replace(session, probings=tuple(probings))
 
     linear = pressed(None)
     truth = fit_session(replace(linear, probings=linear.probings[:1])).estimate
     result = fit_session(pressed(yeoh(3.0, SplitNeoHookean)), finite_strain=True)
-    found = result.estimate
-    assert found.stiffening is not None
-    assert found.stiffening.value == pytest.approx(3.0, rel=0.15)
-    assert "times as stiff as at small strain" in found.notes[0]
+    estimate = result.estimate
+    assert estimate.stiffening is not None
+    assert estimate.stiffening.value == pytest.approx(3.0, rel=0.15)
+    assert "times as stiff as at small strain" in estimate.notes[0]
     # As where nothing stiffens.
-    assert found.shear_modulus.value == pytest.approx(truth.shear_modulus.value, rel=0.01)
-    assert found.poisson_ratio.value == pytest.approx(truth.poisson_ratio.value, abs=0.004)
+    assert estimate.shear_modulus.value == pytest.approx(truth.shear_modulus.value, rel=0.01)
+    assert estimate.poisson_ratio.value == pytest.approx(truth.poisson_ratio.value, abs=0.004)
     # What was taken off is in the prediction again.
     left = result.probes[2].residual
     expected = pressed(yeoh(3.0, SplitNeoHookean)).probings[2].displacement.displacement
     np.testing.assert_allclose(result.probes[2].predicted + left, expected, atol=1e-9)
     # Pushes of an object that is not linear need not agree with each other.
-    assert found.reciprocity is None
+    assert estimate.reciprocity is None
 
 
 @pytest.mark.slow
@@ -245,33 +245,33 @@ def test_an_object_pressed_far_gives_its_constants() -> None:
     def estimate(nodal: np.ndarray, finite_strain: bool) -> Estimate:
         field = replace(probing.displacement, displacement=seen @ nodal)
         notes = (f"Of the session: {BIASED}.",)
-        one = replace(session, probings=(replace(probing, displacement=field),), notes=notes)
-        return fit_session(one, finite_strain=finite_strain).estimate
+        disturbed = replace(session, probings=(replace(probing, displacement=field),), notes=notes)
+        return fit_session(disturbed, finite_strain=finite_strain).estimate
 
     # Not the law that the correction assumes.
     nodal = solve_finite(body, load, law=SplitNeoHookean)
     truth = estimate(solve_load(body, load), False)
-    linear, finite = (estimate(nodal, one) for one in (False, True))
+    linear, finite = (estimate(nodal, is_finite) for is_finite in (False, True))
     young = truth.young_modulus.value
     ratio = truth.poisson_ratio.value
     assert abs(linear.poisson_ratio.value - ratio) > 0.01
     # The patch's middle is at no vertex of the given mesh, but of the graded one.
     depth = float(np.abs(solve_load(body, load)[:, 2]).max()) / RADIUS
-    told = re.match(r"In n the tool went in by (\d+) % of the radius", linear.notes[0])
-    assert told is not None
-    assert float(told[1]) == pytest.approx(100 * depth, rel=0.1)
+    noted = re.match(r"In n the tool went in by (\d+) % of the radius", linear.notes[0])
+    assert noted is not None
+    assert float(noted[1]) == pytest.approx(100 * depth, rel=0.1)
     # Only where it is corrected for is it no bias.
-    assert [sum(BIASED in note for note in one.notes) for one in (linear, finite)] == [1, 0]
+    assert [sum(BIASED in note for note in result.notes) for result in (linear, finite)] == [1, 0]
     # The correction has its own elements, constants settle at 0.1 % and 0.0005, and the parameter
     # of the law takes up some of what the mesh of 4 x 4 squares leaves (0.003 of nu).
     assert finite.young_modulus.value == pytest.approx(young, rel=0.005)
     assert finite.poisson_ratio.value == pytest.approx(ratio, abs=0.004)
     # Beside the linear one, the law that it is: the correction's own is none of its steps away.
-    found = {one.name: one for one in finite.probes[0].errors}
-    law = found["finite strain (in steps from one neo-Hookean law to another)"]
+    errors = {error.name: error for error in finite.probes[0].errors}
+    law = errors["finite strain (in steps from one neo-Hookean law to another)"]
     assert abs(law.value) < 2.5
     assert law.prior_std == 1.0
-    mesh = found["finite strain of n (in steps from coarser to extrapolated elements)"]
+    mesh = errors["finite strain of n (in steps from coarser to extrapolated elements)"]
     assert abs(mesh.value) < 2.0
     assert "the linear model alone is" in finite.notes[-2]
     # The law of these data does not stiffen.
@@ -306,6 +306,6 @@ def test_stiffening_that_jumps_back_and_forth_settles(slope: float) -> None:
     """A correction with c gives 4 + slope (c - 4); undamped it would not settle below -1."""
     at, last = MaterialConstants(SHEAR, NU, 6.0), (0.0, 0.0)
     for _ in range(8):
-        found = 4.0 + slope * (at.stiffening - 4.0)
-        last, at = (at.stiffening, found), damped(at, replace(at, stiffening=found), last)
+        value = 4.0 + slope * (at.stiffening - 4.0)
+        last, at = (at.stiffening, value), damped(at, replace(at, stiffening=value), last)
     assert at.stiffening == pytest.approx(4.0, abs=0.02)

@@ -66,14 +66,16 @@ def _table(session: Session, system: BoundarySystem, perturbed: bool = True) -> 
 def _without_outward(session: Session) -> Session:
     level = traction_of("hertz", 0.0)
     probings = (
-        replace(one, contact=replace(one.contact, traction=one.contact.traction and level))
-        for one in session.probings
+        replace(
+            probing, contact=replace(probing.contact, traction=probing.contact.traction and level)
+        )
+        for probing in session.probings
     )
     return replace(session, probings=tuple(probings))
 
 
-def _close(found: np.ndarray, wanted: np.ndarray) -> None:
-    np.testing.assert_allclose(found, wanted, atol=1e-12 * np.abs(wanted).max())
+def _close(actual: np.ndarray, wanted: np.ndarray) -> None:
+    np.testing.assert_allclose(actual, wanted, atol=1e-12 * np.abs(wanted).max())
     assert wanted.any()
 
 
@@ -104,7 +106,7 @@ def test_columns_of_what_is_no_contact(session: Session, system: BoundarySystem)
     _close(right.terms[:, :, table.motion_columns], motions)
     # Every column has one owner.
     owned = [
-        *(table.force_columns(one.contact) for one in session.probings),
+        *(table.force_columns(probing.contact) for probing in session.probings),
         column,
         table.weight_columns,
         table.motion_columns,
@@ -121,15 +123,15 @@ def test_a_perturbed_contact_takes_the_place_of_the_stated_one(
     stated = _table(_without_outward(session), system, perturbed=False)
     unit = stated.integrate(system)[0].terms
     count = 0
-    for column, each in zip(table.perturbation_columns, table.perturbations, strict=True):
-        if each.patch is None:
+    for column, perturbation in zip(table.perturbation_columns, table.perturbations, strict=True):
+        if perturbation.patch is None:
             continue
         count += 1
-        load = replace(surface_load(each.patch), cells=load_table._FEWER)
-        force = session.probings[each.probing].force
+        load = replace(surface_load(perturbation.patch), cells=load_table._FEWER)
+        force = session.probings[perturbation.probing].force
         dips = indentation_corrections(system.surface, [load])
         moved = load_right_hand(system, [load], dips).terms
-        k = int(table.patch_of[each.probing])
+        k = int(table.patch_of[perturbation.probing])
         wanted = (moved - unit[:, :, 3 * k : 3 * k + 3]) @ force
         np.testing.assert_allclose(terms[:, :, column], wanted, atol=1e-12 * np.abs(unit).max())
     # Five places for each, and a radius: as much as it is known.
@@ -147,8 +149,10 @@ def test_the_outward_part_and_its_error(session: Session, system: BoundarySystem
     assert np.abs(unit @ normal).max() > 0.01 * np.abs(without[:, :, 2]).max()
     _close(unit, (unit @ normal)[:, :, None] * normal)
     errors = dict(zip(table.perturbation_columns.tolist(), table.perturbations, strict=True))
-    ((column, error),) = ((k, each) for k, each in errors.items() if each.outward)
-    assert [each.name for each in error.steps] == ["outward traction in top"]
+    ((column, error),) = (
+        (k, perturbation) for k, perturbation in errors.items() if perturbation.outward
+    )
+    assert [parameter.name for parameter in error.steps] == ["outward traction in top"]
     _close(terms[:, :, column], error.outward * unit @ FORCES["top"])
 
 
@@ -160,11 +164,11 @@ def test_a_perturbed_dip_is_its_share_of_what_the_dip_adds(
     loads = [surface_load(patch) for patch in table.patches.values()]
     dips = indentation_corrections(system.surface, loads)
     errors = dict(zip(table.perturbation_columns.tolist(), table.perturbations, strict=True))
-    found = [(k, each) for k, each in errors.items() if each.dip]
-    assert len(found) == 2
-    for column, each in found:
-        dip = dips[table.patch_of[each.probing]]
-        force = session.probings[each.probing].force
+    perturbed = [(k, perturbation) for k, perturbation in errors.items() if perturbation.dip]
+    assert len(perturbed) == 2
+    for column, perturbation in perturbed:
+        dip = dips[table.patch_of[perturbation.probing]]
+        force = session.probings[perturbation.probing].force
         wanted = DIP_ERROR * correction_columns(system, [dip]).terms @ force
         _close(terms[:, :, column], wanted)
 

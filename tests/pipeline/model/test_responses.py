@@ -99,16 +99,16 @@ def test_series_is_what_the_reduced_model_says(setting, nu):
     weights = model.coefficients(nu)[0][:, rows.columns]
     solution = sum(w * x for w, x in zip(weights, model.basis(rows.columns), strict=True))
     expected = surface @ solution
-    found = reduced_responses(model, [bare], RANGE)[0].blocks(nu)[0][: len(expected)]
+    block = reduced_responses(model, [bare], RANGE)[0].blocks(nu)[0][: len(expected)]
     # Terms below 1e-10 are left out.
-    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(block, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def _models_with_directions():
     gc.collect()
     # The type itself: to ask a weak reference for its class fails where its object has gone.
-    models = [one for one in gc.get_objects() if type(one) is ReducedModel]
-    return sum(len(one.directions) > 0 for one in models)
+    models = [item for item in gc.get_objects() if type(item) is ReducedModel]
+    return sum(len(model.directions) > 0 for model in models)
 
 
 @pytest.mark.slow
@@ -134,8 +134,8 @@ def test_the_derivative_by_the_compliance_of_a_support():
     blocks = np.stack([rows.observed(rng.normal(size=(8, 3))) for _ in range(3)])
     response = ProbeResponse(rows, lambda _: blocks)
     for support in range(2):
-        found = response.compliance_derivative(0.3, support)
-        np.testing.assert_allclose(found[:, :3], blocks[1 + support, :6], rtol=1e-9)
+        derivative = response.compliance_derivative(0.3, support)
+        np.testing.assert_allclose(derivative[:, :3], blocks[1 + support, :6], rtol=1e-9)
 
 
 def test_without_gravity_the_last_column_is_zero(setting):

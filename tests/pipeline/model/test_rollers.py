@@ -49,11 +49,11 @@ def session(*supports, points=None, moved=None, contact=None, force=(0.0, 0.0, -
         points = rng.uniform(0.1, 0.9, (120, 3)) * SIZE
         points[:60, 0], points[60:, 1] = 0.0, SIZE[1]
     moved = shortened(points) if moved is None else moved(points)
-    place = closest_points(MESH, points)
-    field = DisplacementField(points, moved, np.full_like(moved, 1e-6), None, place, "n.csv")
+    surface = closest_points(MESH, points)
+    field = DisplacementField(points, moved, np.full_like(moved, 1e-6), None, surface, "n.csv")
     contact = contact or Contact(MIDDLE[TOP].mean(axis=0), None, "uniform", TOP)
     probing = Probing("n", contact, np.array(force), None, None, None, field, None, **more)
-    held = np.sort(np.concatenate([one.triangles for one in supports]))
+    held = np.sort(np.concatenate([support.triangles for support in supports]))
     return Session(
         "block", Path("block"), MESH, held, (probing,), None, None, None, (), supports=supports,
         errors=EXACT,
@@ -125,10 +125,10 @@ def test_a_platen_that_moves_takes_only_its_direction_with_it(nu):
     (seen,) = session_observations(still, model)
     value = seen.response.value(nu)
     # Columns 4 to 9 are the motions of the upper platen, the last six those that slide.
-    found = (value[:, 4:10] @ seen.motion[:6]).reshape(-1, 3)
+    displacement = (value[:, 4:10] @ seen.motion[:6]).reshape(-1, 3)
     strain = 3e-4 / SIZE[2]
     exact = (seen.position - AXIS) * np.array([nu, nu, -1.0]) * strain
-    away = (found - exact).ravel()
+    away = (displacement - exact).ravel()
     slide = value[:, [10, 11, 15]]
     away -= slide @ np.linalg.lstsq(slide, away, rcond=None)[0]
     assert np.abs(away).max() < 1e-5 * np.abs(exact).max()
@@ -145,9 +145,9 @@ def test_a_poke_on_a_platen():
             given, np.array(force), contact, shear_modulus=SHEAR, poisson_ratio=NU, interior=inside
         )
 
-    found = poked([0.0, 0.0, -PRESS])
-    np.testing.assert_allclose(found.reaction, [0.0, 0.0, PRESS], atol=1e-9)
-    assert found.interior.displacement[:, 2].max() < 0.0
+    estimate = poked([0.0, 0.0, -PRESS])
+    np.testing.assert_allclose(estimate.reaction, [0.0, 0.0, PRESS], atol=1e-9)
+    assert estimate.interior.displacement[:, 2].max() < 0.0
     with pytest.raises(InputError, match="the tool: 1 N of its force shifts the object along y"):
         poked([0.0, 1.0, 0.0])
 

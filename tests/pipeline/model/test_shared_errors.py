@@ -65,18 +65,18 @@ def test_a_direction_is_a_force_that_is_turned(axis: int) -> None:
     probe, angle = _probes()[0], 1e-5
     turn = np.cross(np.eye(3)[axis], probe.force)
     expected = _predicted(probe, probe.force + angle * turn) - _predicted(probe, probe.force)
-    found = _columns(force_direction(angle), probe)[:, axis]
-    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    column = _columns(force_direction(angle), probe)[:, axis]
+    np.testing.assert_allclose(column, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_a_scale_stretches_one_component() -> None:
     probe = _probes()[0]
-    found = _columns(length_scale(0.002), probe).reshape(-1, 3, 3)
+    columns = _columns(length_scale(0.002), probe).reshape(-1, 3, 3)
     moved = _predicted(probe, probe.force).reshape(-1, 3)
     for axis in range(3):
         expected = np.zeros_like(moved)
         expected[:, axis] = 0.002 * moved[:, axis]
-        np.testing.assert_allclose(found[:, :, axis], expected, rtol=1e-12)
+        np.testing.assert_allclose(columns[:, :, axis], expected, rtol=1e-12)
 
 
 def test_a_pose_takes_the_field_of_the_vertices() -> None:
@@ -88,28 +88,28 @@ def test_a_pose_takes_the_field_of_the_vertices() -> None:
         1e-4, 0.0, (csr_array(whole),), probe.response.value,
         lambda _: np.zeros((1, 3 * count, 4)),
     )  # fmt: skip
-    found = _columns(pose, probe)
+    columns = _columns(pose, probe)
     moved = _predicted(probe, probe.force)
-    np.testing.assert_allclose(found[:-3, 0], moved[:-3], rtol=1e-12)
-    assert not found[-3:].any()
-    assert [one.name for one in pose.parameters] == [
+    np.testing.assert_allclose(columns[:-3, 0], moved[:-3], rtol=1e-12)
+    assert not columns[-3:].any()
+    assert [parameter.name for parameter in pose.parameters] == [
         f"shift of the object along {axis}" for axis in "xyz"
     ]
 
 
 def test_a_contact_elsewhere_is_told_to_third_order() -> None:
     """Half as far, an eighth of the error: slope and curvature are both right."""
-    probe, place = _probes(tip=True)[0], np.array([1.4, -0.8])
+    probe, steps = _probes(tip=True)[0], np.array([1.4, -0.8])
     rows = np.arange(3 * len(probe.position))
     missed = []
     for std in (2e-4, 1e-4):
         error = contact_error_of(probe, std)
-        found = _columns(error, probe)[rows] @ place
-        bend = 0.5 * (error.curvature(_terms(probe))[rows] @ place) @ place / SHEAR
+        change = _columns(error, probe)[rows] @ steps
+        bend = 0.5 * (error.curvature(_terms(probe))[rows] @ steps) @ steps / SHEAR
         moved = MovedContact(probe, std)
-        wanted = (moved.at(place, NU) - moved.at(np.zeros(2), NU))[rows] / SHEAR
+        wanted = (moved.at(steps, NU) - moved.at(np.zeros(2), NU))[rows] / SHEAR
         assert np.abs(bend).max() > 0.01 * np.abs(wanted).max()
-        missed.append(np.linalg.norm(found + bend - wanted))
+        missed.append(np.linalg.norm(change + bend - wanted))
     # Terms of fourth order are a tenth of those of third at the point next to the contact.
     assert missed[0] / missed[1] == pytest.approx(8.0, rel=0.15)
 

@@ -69,7 +69,7 @@ def side_points(rng, count=60):
 
 
 def bar(probing, *supports, **more):
-    held = np.concatenate([one.triangles for one in supports])
+    held = np.concatenate([support.triangles for support in supports])
     return Session(
         "bar", Path("bar"), MESH, held, (probing,), more.pop("density", None), None, None, (),
         supports=supports, **{"errors": NO_ERRORS} | more,
@@ -155,10 +155,10 @@ def test_a_free_motion_is_estimated_along():
         assert abs(constant.value - truth) < 4 * constant.std
     assert estimate.shear_modulus.std < 0.02 * SHEAR
     (support,) = estimate.probes[0].supports
-    found = np.array([*support.translation, *support.rotation])
+    given_motion = np.array([*support.translation, *support.rotation])
     std = np.array([*support.translation_std, *support.rotation_std])
     # Six Gaussian deviations: beyond four sigmas once in 2600 seeds.
-    assert np.abs((found - motion) / std).max() < 4.0
+    assert np.abs((given_motion - motion) / std).max() < 4.0
     # What the mesh may be off by counts more than two hundred points with this noise.
     assert std[:3].max() < 10 * NOISE
 
@@ -175,9 +175,11 @@ def test_pressure_on_all_free_faces():
         support_displacement=field_at(foot, shrunk * (foot - CENTRE)),
     )  # fmt: skip
     seen, value = columns(bar(probing, Support(FOOT, GIVEN)), NU)
-    found = value @ np.concatenate([seen.force / SHEAR, [1.0 / SHEAR], seen.motion])
+    displacement = value @ np.concatenate([seen.force / SHEAR, [1.0 / SHEAR], seen.motion])
     expected = shrunk * (points - CENTRE)
-    np.testing.assert_allclose(found.reshape(-1, 3), expected, atol=EXACT * np.abs(expected).max())
+    np.testing.assert_allclose(
+        displacement.reshape(-1, 3), expected, atol=EXACT * np.abs(expected).max()
+    )
 
 
 def test_a_pulled_grip_stretches_a_bar_without_contraction():
@@ -222,4 +224,4 @@ def test_a_rigid_motion_can_be_given_as_numbers():
 def test_supports_are_numbered_as_the_session_counts():
     probing = pulled(np.zeros((1, 3)), side_points(np.random.default_rng(8), 1))
     supports = moving_supports(bar(probing, Support(FOOT), Support(HEAD[:1], FREE)))
-    assert [one.number for one in supports] == [2]
+    assert [support.number for support in supports] == [2]

@@ -71,8 +71,8 @@ def _still(folder, result, **options):
 def _changed(folder, pattern, by, count=1):
     """Change the session file."""
     file = folder / "session.toml"
-    text, found = re.subn(pattern, by, file.read_text(), flags=re.DOTALL)
-    assert found == count
+    text, replaced = re.subn(pattern, by, file.read_text(), flags=re.DOTALL)
+    assert replaced == count
     file.write_text(text)
 
 
@@ -195,9 +195,9 @@ def test_a_note_goes_with_the_motion_that_it_is_on(kept, three):
         *given.notes, "n01 is dark", "n02 is dark", "n03 is dark",
     )  # fmt: skip
     (three / "n02_c0.png").write_bytes(b"brighter")
-    found = with_motions(given, kept_motion(given, folder))
-    assert found.notes == (*given.notes, "n01 is dark", "n03 is dark")
-    assert [one.displacement is None for one in found.probings] == [False, True, False]
+    session = with_motions(given, kept_motion(given, folder))
+    assert session.notes == (*given.notes, "n01 is dark", "n03 is dark")
+    assert [probing.displacement is None for probing in session.probings] == [False, True, False]
 
 
 def test_every_kind_of_note_is_kept(kept, tmp_path):
@@ -205,16 +205,16 @@ def test_every_kind_of_note_is_kept(kept, tmp_path):
     notes = MotionNotes(("a", "b"), ("c",), ("d",), ("e", "f", "g"))
     with result_folder(tmp_path / "noted", kind="fit") as folder:
         keep_motion(folder, given, {"n02": replace(motions["n02"], notes=notes)})
-    assert {name: one.notes for name, one in kept_motion(given, tmp_path / "noted").items()} == {
-        "n02": notes
-    }
+    assert {
+        name: motion.notes for name, motion in kept_motion(given, tmp_path / "noted").items()
+    } == {"n02": notes}
 
 
 def test_names_need_not_suit_an_archive(three, tmp_path):
     names = ["n 01", "n.npy", "ключ [b] \N{SNOWMAN}"]
     given = read_session(three)
     probings = tuple(
-        replace(one, name=name) for one, name in zip(given.probings, names, strict=True)
+        replace(probing, name=name) for probing, name in zip(given.probings, names, strict=True)
     )
     given = replace(given, probings=probings)
     motions = {p.name: measured_motion(given, p, seed=k) for k, p in enumerate(given.probings)}
@@ -289,10 +289,10 @@ def counted(monkeypatch):
     return count
 
 
-def _assert_same(found, expected):
+def _assert_same(actual, expected):
     """All bits of all fields, and the notes."""
-    assert list(found) == list(expected)
-    for name, motion in found.items():
+    assert list(actual) == list(expected)
+    for name, motion in actual.items():
         mine, theirs = motion.field, expected[name].field
         for part in ("points", "displacement", "std", "vertex", "covariance"):
             np.testing.assert_array_equal(getattr(mine, part), getattr(theirs, part))
@@ -313,8 +313,8 @@ def _assert_same(found, expected):
 def _measured(folder, result, **options):
     """The motions of a session, those that the result holds not measured."""
     session = read_session(folder)
-    kept = kept_motion(session, result, pose="given")
-    return measure_pictures(session, known=kept, pose="given", **options)
+    known = kept_motion(session, result, pose="given")
+    return measure_pictures(session, known=known, pose="given", **options)
 
 
 @pytest.mark.parametrize("name", list(PROBINGS))
@@ -337,12 +337,12 @@ def test_one_more_probing_is_measured_alone(whole, folder, counted, tmp_path):
         keep_motion(result, read_session(folder), two, pose="given")
     write_probings(folder, PROBINGS)
     counted.clear()
-    found = _measured(folder, tmp_path / "two")
+    motions = _measured(folder, tmp_path / "two")
     assert counted == {"start": 1, "follow": 1}
-    _assert_same(found, whole[2])
+    _assert_same(motions, whole[2])
     # Whoever is measured when: the session is told what it is told at once.
     session = read_session(folder)
-    assert with_motions(session, found).notes == with_motions(session, whole[2]).notes
+    assert with_motions(session, motions).notes == with_motions(session, whole[2]).notes
 
 
 @pytest.mark.slow
@@ -360,9 +360,9 @@ def test_another_picture_is_measured_as_if_it_had_always_been_there(
 ):
     for camera in ("c0", "c1"):
         shutil.copy(folder / f"{by}_{camera}.png", folder / f"{picture}_{camera}.png")
-    found = _measured(folder, whole[1])
+    motions = _measured(folder, whole[1])
     assert counted == count
-    _assert_same(found, measure_pictures(read_session(folder), pose="given"))
+    _assert_same(motions, measure_pictures(read_session(folder), pose="given"))
 
 
 @pytest.mark.slow
@@ -384,9 +384,9 @@ def test_parts_of_all_probings_are_those_of_each(whole, folder, counted, tmp_pat
     measure_pictures(read_session(folder), pose="given", parts=parts)
     counted.clear()
     write_probings(folder, {name: PROBINGS[name] for name in ("n02", "n01")})
-    found = measure_pictures(read_session(folder), pose="given", parts=parts)
+    motions = measure_pictures(read_session(folder), pose="given", parts=parts)
     assert counted == {"start": 1}
-    _assert_same(found, {name: whole[2][name] for name in ("n02", "n01")})
+    _assert_same(motions, {name: whole[2][name] for name in ("n02", "n01")})
     # Another picture leaves those of other probings.
     for camera in ("c0", "c1"):
         shutil.copy(folder / f"n01_1_{camera}.png", folder / f"n02_{camera}.png")

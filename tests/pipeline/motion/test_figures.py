@@ -29,16 +29,16 @@ def lost(cube_session):
     }
 
     def found(*names):
-        points = np.array([place for each in places.values() for place in each])
-        flags = np.array([name in names for name, each in places.items() for _ in each])
+        points = np.array([point for lost_here in places.values() for point in lost_here])
+        flags = np.array([name in names for name, lost_here in places.items() for _ in lost_here])
         moved = np.where(flags[:, None], np.nan, 1e-4 * np.arange(3 * len(points)).reshape(-1, 3))
         field = replace(
             probing.displacement, points=points, displacement=moved, std=np.full((8, 3), 1e-6),
             covariance=None, average=None, vertex=None,
             surface=closest_points(session.mesh, points),
         )  # fmt: skip
-        one = replace(probing, contact=contact, displacement=field)
-        return rejections(replace(session, probings=(one,)))
+        disturbed = replace(probing, contact=contact, displacement=field)
+        return rejections(replace(session, probings=(disturbed,)))
 
     return found
 
@@ -51,9 +51,9 @@ def lost(cube_session):
     ],
 )  # fmt: skip
 def test_lost_vertices_are_told_apart(lost, names, counts):
-    (one,) = lost(*names)
-    assert (one.near_tool, one.oblique, one.in_view) == counts
-    assert (one.name, one.seen, one.lost) == ("n01", 8, sum(counts))
+    (rejection,) = lost(*names)
+    assert (rejection.near_tool, rejection.oblique, rejection.in_view) == counts
+    assert (rejection.name, rejection.seen, rejection.lost) == ("n01", 8, sum(counts))
 
 
 def test_what_the_tool_covers_is_as_usual(lost):

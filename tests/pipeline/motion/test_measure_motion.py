@@ -83,7 +83,7 @@ class _Killed(BaseException):
 def _alive(kind: type) -> int:
     """Number of objects of a class that something holds."""
     gc.collect()
-    return sum(isinstance(each, kind) for each in gc.get_objects())
+    return sum(isinstance(item, kind) for item in gc.get_objects())
 
 
 def test_an_interrupted_measurement_goes_on_to_the_same_bytes(
@@ -134,8 +134,8 @@ def test_a_motion_is_let_go_before_the_next_one_is_measured(
         return follow(*given)
 
     monkeypatch.setattr(JointFlow, "follow", counted)
-    found = measured_motions(session, method=JointFlow(step=24), pose="given")
-    names = [motion.name for _, motion, _ in found]
+    motions = measured_motions(session, method=JointFlow(step=24), pose="given")
+    names = [motion.name for _, motion, _ in motions]
     assert names == motion_names(session) == ["s1", "s2", "s3", "s4", "s5"]
     assert [count - alive[0] for count in alive] == [0, 1, 1, 1, 1]
 
@@ -158,16 +158,16 @@ def test_first_pictures_are_let_go_after_their_last_probing(
         return start(*given)
 
     monkeypatch.setattr(JointFlow, "start", counted)
-    found = measured_motions(replace(half_ball, probings=probings), **COARSE)
-    names = [motion.name for _, motion, _ in found]
+    motions = measured_motions(replace(half_ball, probings=probings), **COARSE)
+    names = [motion.name for _, motion, _ in motions]
     assert names == ["p0", "p1", "p2", "p3"]
     assert [count - alive[0] for count in alive] == [0, 1, 1]
 
 
 def test_a_translation_is_measured_to_hundredths_of_a_millimetre(sequence: Path) -> None:
-    found = measure_motion(read_session(sequence), **GIVEN)
-    assert [motion.name for motion in found.motions] == ["s1", "s2"]
-    for number, motion in enumerate(found.motions, start=1):
+    flow = measure_motion(read_session(sequence), **GIVEN)
+    assert [motion.name for motion in flow.motions] == ["s1", "s2"]
+    for number, motion in enumerate(flow.motions, start=1):
         assert motion.vertices is not None
         moved = motion.vertices.displacement
         ok = np.isfinite(moved).all(axis=1)
@@ -187,14 +187,14 @@ def test_a_truncated_picture_fails_its_step_and_keeps_the_others(
     folder = _part(sequence, tmp_path / "cut", 3)
     picture = folder / "images" / "s1_c1.png"
     picture.write_bytes(picture.read_bytes()[:40_000])
-    found = measure_motion(read_session(folder), **GIVEN)
-    failed, kept = found.motions
+    flow = measure_motion(read_session(folder), **GIVEN)
+    failed, intact = flow.motions
     assert failed.flow is None
     assert failed.failure is not None
     assert "s1" in failed.failure
     assert "s1_c1.png" in failed.failure
-    assert kept.vertices is not None
-    assert np.isfinite(kept.vertices.displacement[:, 0]).sum() > 100
+    assert intact.vertices is not None
+    assert np.isfinite(intact.vertices.displacement[:, 0]).sum() > 100
 
 
 def test_pictures_without_texture_say_where_and_how_much_is_needed(
@@ -208,11 +208,11 @@ def test_pictures_without_texture_say_where_and_how_much_is_needed(
         grey[160:, :] = np.where(grey[160:] > 20.0, 100.0, grey[160:])
         grey[160:] += rng.normal(0.0, 1.5, grey[160:].shape)
         cv2.imwrite(str(path), np.clip(np.round(grey), 0, 255).astype(np.uint8))
-    found = measure_motion(read_session(folder), **COARSE)
-    flow = found.motions[0].flow
+    measured = measure_motion(read_session(folder), **COARSE)
+    flow = measured.motions[0].flow
     assert flow is not None
     assert (flow.outcome == Outcome.TEXTURE).mean() > 0.1
-    assert any("too little texture" in note and "column" in note for note in found.notes)
+    assert any("too little texture" in note and "column" in note for note in measured.notes)
 
 
 def test_swapped_cameras_are_named(sequence: Path, tmp_path: Path) -> None:
@@ -233,14 +233,14 @@ def test_load_steps_in_the_wrong_order_are_remarked(shared_data: Path) -> None:
     assert probing.images is not None
     wrong = (probing.images.loaded[4], probing.images.loaded[1])
     turned = replace(probing, images=replace(probing.images, loaded=wrong))
-    found = measure_motion(replace(session, probings=(turned,)), **COARSE)
-    assert any("is their order right" in note for note in found.notes)
+    flow = measure_motion(replace(session, probings=(turned,)), **COARSE)
+    assert any("is their order right" in note for note in flow.notes)
 
 
 def test_images_alone_give_the_constants(half_ball: Session) -> None:
     """One probing, force known to 1 %: nu within 0.03 of 0.21, E within 5 % of 52 kPa."""
-    found = measure_motion(half_ball, **COARSE)
-    session = with_measured_displacement(half_ball, found)
+    flow = measure_motion(half_ball, **COARSE)
+    session = with_measured_displacement(half_ball, flow)
     estimate = fit_session(session).estimate
     assert estimate.poisson_ratio.value == pytest.approx(0.21, abs=0.03)
     assert estimate.young_modulus.value == pytest.approx(52e3, rel=0.05)
@@ -265,15 +265,15 @@ def test_only_what_has_no_displacement_is_measured(
         vertices = VertexDisplacement(
             nothing, np.tile(1e-12 * np.eye(3), (len(nothing), 1, 1)), np.full(len(nothing), 9)
         )
-        one = MeasuredMotion("n01", "n01", True, np.zeros((1, 1)), None, vertices, None)
-        yield read_rig(session.rig), replace(one, notes=MotionNotes(pictures=("second",))), ()
+        motion = MeasuredMotion("n01", "n01", True, np.zeros((1, 1)), None, vertices, None)
+        yield read_rig(session.rig), replace(motion, notes=MotionNotes(pictures=("second",))), ()
 
     module = sys.modules[with_pictures_measured.__module__]
     monkeypatch.setattr(module, "measured_motions", measure)
-    found = with_pictures_measured(session, pose="given")
+    measured = with_pictures_measured(session, pose="given")
     assert asked == [(["n01"], "given")]
-    assert found.probings[0].displacement is field
-    assert found.notes == ("first", "second")
+    assert measured.probings[0].displacement is field
+    assert measured.notes == ("first", "second")
     read = replace(session, probings=(known,))
     assert with_pictures_measured(read) is read
     assert len(asked) == 1
@@ -317,9 +317,9 @@ def steps(begun, series):
     return first, method.follow(first[0], series[2])
 
 
-def _same(one: RangeFlow, other: RangeFlow) -> bool:
+def _same(first: RangeFlow, other: RangeFlow) -> bool:
     return all(
-        np.array_equal(getattr(one, field.name), getattr(other, field.name), equal_nan=True)
+        np.array_equal(getattr(first, field.name), getattr(other, field.name), equal_nan=True)
         for field in fields(RangeFlow)
     )
 
@@ -348,9 +348,9 @@ def test_no_motion_gives_no_displacement(begun, series):
 
 def test_averages_move_with_a_rigid_motion(begun, steps, mesh):
     method, rig = begun[0], example().rig
-    found = method.vertices(steps[0][1], rig, mesh)
-    same = method.averaged(found, steps[0][1], rig, mesh)
-    np.testing.assert_array_equal(same.displacement, found.displacement)
+    displacement = method.vertices(steps[0][1], rig, mesh)
+    same = method.averaged(displacement, steps[0][1], rig, mesh)
+    np.testing.assert_array_equal(same.displacement, displacement.displacement)
     average = same.average
     if average is not None:
         moved = (average.weights @ MOTION(average.points).ravel()).reshape(-1, 3)
@@ -359,7 +359,7 @@ def test_averages_move_with_a_rigid_motion(begun, steps, mesh):
         np.testing.assert_allclose(
             moved[average.has_weights], expected[average.has_weights], atol=1e-7
         )
-        assert average.has_weights[measured_vertices(found)].mean() > 0.9
+        assert average.has_weights[measured_vertices(displacement)].mean() > 0.9
 
 
 def test_a_rigid_motion_is_recovered_as_well_as_claimed(steps):
@@ -376,14 +376,14 @@ def test_a_rigid_motion_is_recovered_as_well_as_claimed(steps):
 def test_vertices_move_with_the_points_around_them(begun, steps, mesh):
     method, _ = begun
     _, flow = steps[0]
-    found = method.vertices(flow, example().rig, mesh)
-    rows = measured_vertices(found)
+    displacement = method.vertices(flow, example().rig, mesh)
+    rows = measured_vertices(displacement)
     assert rows.sum() > 200
-    error = found.displacement[rows] - MOTION(mesh.vertices[rows])
+    error = displacement.displacement[rows] - MOTION(mesh.vertices[rows])
     assert np.sqrt((error**2).mean()) < 0.5 * PITCH
-    assert _ratio(error, found.covariance[rows]) < 2.0
-    assert (found.count[rows] > 0).all()
-    assert np.isnan(found.covariance[~rows]).all()
+    assert _ratio(error, displacement.covariance[rows]) < 2.0
+    assert (displacement.count[rows] > 0).all()
+    assert np.isnan(displacement.covariance[~rows]).all()
 
 
 def test_the_same_pictures_give_the_same_flow_and_leave_the_state_as_it_was(begun, series, steps):

@@ -82,8 +82,8 @@ def test_what_a_ball_does_not_tell_is_left_as_given_and_said(ball: Scene) -> Non
     """Its centre is found where it was 10 mm off; its direction, 4 degrees off, stays."""
     rig, pictures, mesh = ball
     said = "the shape is symmetric about any axis through"
-    kept, notes = posed_rig(rig, pictures, mesh, "auto")
-    assert kept is rig
+    same_rig, notes = posed_rig(rig, pictures, mesh, "auto")
+    assert same_rig is rig
     assert [said in note for note in notes] == [True]
     given = _moved(rig, 4.0, 0.01)
     posed, notes = posed_rig(given, pictures, mesh, "auto")
@@ -102,9 +102,9 @@ def test_a_pose_far_off_is_refused(solid: Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "inside"),
+    ("eye", "inside"),
     [((0.0, 0.0, 0.0), True), ((0.9, 0.0, 0.0), True), ((0.9, 0.9, 0.0), False)],
 )
-def test_a_camera_beside_a_ball_is_not_inside_it(place, inside) -> None:
+def test_a_camera_beside_a_ball_is_not_inside_it(eye, inside) -> None:
     # The last one is within the box about the ball.
-    assert _encloses(sphere(2), np.array(place)) is inside
+    assert _encloses(sphere(2), np.array(eye)) is inside

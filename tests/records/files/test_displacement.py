@@ -58,11 +58,11 @@ def test_comments_and_byte_order_marks_are_skipped(tmp_path):
 
 def test_vertex_and_std_columns_round_trip_exactly(tmp_path, csv_file):
     index = 7
-    place = ",".join(repr(float(x)) for x in CUBE.vertices[index])
+    point = ",".join(repr(float(x)) for x in CUBE.vertices[index])
     path = csv_file(
         HEAD + ",sx,sy,sz,vertex",
-        f"{place},0.0001,nan,0.1,1e-5,2e-5,3e-5,7",
-        f"{place},{1 / 3:.17g},0,1e-300,1e-5,2e-5,3e-5,7",
+        f"{point},0.0001,nan,0.1,1e-5,2e-5,3e-5,7",
+        f"{point},{1 / 3:.17g},0,1e-300,1e-5,2e-5,3e-5,7",
     )
     field, _ = read_displacement(path, CUBE)
     assert field.vertex.tolist() == [7, 7]

@@ -172,7 +172,7 @@ def test_whatever_is_written_is_read_back(
         **dict(zip(names, _material(*material), strict=True)),
         identifiable=identifiable,
         probes=tuple(
-            ProbeEstimate(name, *(_constant(*each) for each in three), *rest)
+            ProbeEstimate(name, *(_constant(*values) for values in three), *rest)
             for name, *three, rest in ((*probe[:4], probe[4:]) for probe in probes)
         ),
         status=status or Status.from_identifiable(identifiable),
@@ -197,7 +197,7 @@ def test_every_key_of_the_format_is_there(tmp_path):
 
 def test_unknown_numbers_become_null_and_come_back(tmp_path):
     probe = ProbeEstimate("n01", LOST, LOST, LOST, 3, 0, 0, NAN, None)
-    told = {"shear_modulus": True, "poisson_ratio": False, "young_modulus": True}
+    determined = {"shear_modulus": True, "poisson_ratio": False, "young_modulus": True}
     settings = {"seed": np.int64(3), "range": np.array([0.0, np.nan]), "on": np.bool_(True)}
     write_estimate(
         tmp_path / "estimate.json",
@@ -205,8 +205,8 @@ def test_unknown_numbers_become_null_and_come_back(tmp_path):
             poisson_ratio=LOST,
             probes=(probe,),
             settings=settings,
-            identifiable=told,
-            status=Status.from_identifiable(told),
+            identifiable=determined,
+            status=Status.from_identifiable(determined),
         ),
     )
     text = (tmp_path / "estimate.json").read_text()

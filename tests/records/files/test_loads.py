@@ -89,14 +89,14 @@ def test_further_loads(session):
 
 
 def test_records_refuse_what_cannot_be():
-    point, one = np.zeros(3), np.array([3])
+    point, triangle = np.zeros(3), np.array([3])
     with pytest.raises(InputError, match="has no radius"):
-        Contact(point, 0.1, "uniform", one)
+        Contact(point, 0.1, "uniform", triangle)
     with pytest.raises(InputError, match="traction is 'hertz'"):
-        Contact(point, None, "hertz", one)
+        Contact(point, None, "hertz", triangle)
     with pytest.raises(InputError, match="as the contact and force of the probing"):
-        Load(Contact(point, None, RIGID, one), np.ones(3))
+        Load(Contact(point, None, RIGID, triangle), np.ones(3))
     with pytest.raises(InputError, match="motion is 'loose'"):
-        Support(one, "loose")
+        Support(triangle, "loose")
     with pytest.raises(InputError, match=r"rotation is 0\.06 rad"):
         RigidMotion(point, np.array([0.0, 0.06, 0.0]))

@@ -153,8 +153,8 @@ def test_what_was_changed_or_is_somebodys_is_not_replaced(tmp_path, change, mess
     assert {p.name: p.read_bytes() for p in target.iterdir() if p.is_file()} == before
     _make(target, second="2", force=True)
     assert _names(target) == [CONTENTS_FILE, "second"]
-    kept = tmp_path / "result.old"
-    assert {p.name: p.read_bytes() for p in kept.iterdir() if p.is_file()} == before
+    old = tmp_path / "result.old"
+    assert {p.name: p.read_bytes() for p in old.iterdir() if p.is_file()} == before
     assert "what was there is kept as" in capsys.readouterr().err
 
 
@@ -237,10 +237,10 @@ def test_changes_of_results_and_inputs_are_found(tmp_path):
     assert folder_changes(result)[1] == {
         "edited": "changed", "kept": "missing", "more": "not listed"
     }  # fmt: skip
-    told = subprocess.run(check, cwd=result, capture_output=True, text=True, check=False)
-    assert told.returncode == 1
+    checked = subprocess.run(check, cwd=result, capture_output=True, text=True, check=False)
+    assert checked.returncode == 1
     for name in ("edited", "kept", "../one.csv"):
-        assert f"{name}: FAILED" in told.stdout
+        assert f"{name}: FAILED" in checked.stdout
 
 
 def test_files_of_a_session(tmp_path):
@@ -261,5 +261,5 @@ images = { rest = "rest_{camera}.png", loaded = ["n01_{camera}.png"] }
         (tmp_path / name).write_text(session)
     (tmp_path / "calibration").mkdir()
     (tmp_path / "calibration" / "cam0.xml").write_text("")
-    found = {path.relative_to(tmp_path).as_posix() for path in session_files(tmp_path)}
-    assert found == {*names, "calibration/cam0.xml"} - {"n1.csv", "other.png"}
+    listed = {path.relative_to(tmp_path).as_posix() for path in session_files(tmp_path)}
+    assert listed == {*names, "calibration/cam0.xml"} - {"n1.csv", "other.png"}

@@ -529,7 +529,11 @@ def test_the_arm_s_first_touch_is_an_error_of_the_tip(edited):
     text = "tip_displacement = [0, 0, -0.001]\ntip_displacement_std = [3e-5, 12e-5, 0.0]"
     text += '\ntip_displacement_offset_std = "0.04 mm"\ncontact = { point = [0.04'
     session = read_session(edited("contact = { point = [0.04", text))
-    std = [one.tip_displacement_std for one in session.probings if one.tip_displacement is not None]
+    std = [
+        probing.tip_displacement_std
+        for probing in session.probings
+        if probing.tip_displacement is not None
+    ]
     np.testing.assert_allclose(std[-1], [5e-5, np.hypot(12e-5, 4e-5), 4e-5])
 
 

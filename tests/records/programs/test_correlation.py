@@ -111,15 +111,15 @@ def _vic(tmp_path, old="", new=""):
 
 
 def test_vic3d_order_of_the_numbers(tmp_path):
-    one, two = read_rig(_vic(tmp_path)).cameras
-    assert (one.name, one.size, two.name, two.size) == ("0", (1920, 1200), "1", None)
-    np.testing.assert_array_equal(one.matrix, [[6636, 0.25, 955], [0, 6637, 645], [0, 0, 1]])
-    np.testing.assert_array_equal(two.distortion, [0.02, 1.0, 0, 0, -30, 0, 0, 0])
-    np.testing.assert_allclose(two.T_camera_object[:3, 3], [0.059, 0.0002, 0.021], rtol=1e-14)
+    first, second = read_rig(_vic(tmp_path)).cameras
+    assert (first.name, first.size, second.name, second.size) == ("0", (1920, 1200), "1", None)
+    np.testing.assert_array_equal(first.matrix, [[6636, 0.25, 955], [0, 6637, 645], [0, 0, 1]])
+    np.testing.assert_array_equal(second.distortion, [0.02, 1.0, 0, 0, -30, 0, 0, 0])
+    np.testing.assert_allclose(second.T_camera_object[:3, 3], [0.059, 0.0002, 0.021], rtol=1e-14)
     turn = cv2.Rodrigues(np.deg2rad([0.0, 0.0, 30.0]))[0]
     turn = turn @ cv2.Rodrigues(np.deg2rad([0.0, 20.0, 0.0]))[0]
     turn = turn @ cv2.Rodrigues(np.deg2rad([10.0, 0.0, 0.0]))[0]
-    np.testing.assert_allclose(two.T_camera_object[:3, :3], turn, atol=1e-15)
+    np.testing.assert_allclose(second.T_camera_object[:3, :3], turn, atol=1e-15)
     assert (
         read_rig(_vic(tmp_path), length_unit="in").cameras[1].T_camera_object[2, 3] == 21 * 0.0254
     )
@@ -146,14 +146,14 @@ def _own_matches(path):
     guess = re.compile(r'<guess type="(\w+)" score="[^"]*" img="([^"]+)_([01])\.tif">(\S+) (\S+)')
     left, right = [], []
     for block in re.findall(r"<startpoint.*?</startpoint>", text, re.DOTALL):
-        found = {
+        marks = {
             (stem, side): (kind, float(x), float(y))
             for kind, stem, side, x, y in guess.findall(block)
         }
-        for (stem, side), place in found.items():
-            other = found.get((stem, "1"))
+        for (stem, side), match in marks.items():
+            other = marks.get((stem, "1"))
             if side == "0" and other is not None and other[0] == "auto":
-                left.append(place[1:])
+                left.append(match[1:])
                 right.append(other[1:])
     return np.array([left, right])
 
@@ -164,9 +164,9 @@ def test_vic3d_calibration_fits_the_matches_in_its_own_file(shared_data, name):
     path = shared_data / "real" / name
     matches = _own_matches(path)
     assert matches.shape[1] >= 1
-    found = triangulate(read_rig(path), matches, 0.05)
+    points = triangulate(read_rig(path), matches, 0.05)
     # Half the distance from the epipolar line per camera; VIC-3D reports 0.03 px for such rigs.
-    assert found.residual.max() < 0.05
+    assert points.residual.max() < 0.05
 
 
 def test_vic3d_object_frame_is_dices(shared_data):
@@ -180,16 +180,16 @@ def test_vic3d_object_frame_is_dices(shared_data):
         ]
     )
     model = 1e-3 * gold_columns(gold, *(f"MODEL_COORDINATES_{axis}" for axis in "XYZ"))
-    found = triangulate(read_rig(folder / "cal.xml"), matches, 1.0)
+    points = triangulate(read_rig(folder / "cal.xml"), matches, 1.0)
     # These pictures are of another state of the rig: the rays pass each other by 17 px, which DICe
     # weighs otherwise and without the lens: 0.4 mm of 0.38 m.
-    np.testing.assert_allclose(found.point, model, rtol=0.0, atol=1e-3)
+    np.testing.assert_allclose(points.point, model, rtol=0.0, atol=1e-3)
 
 
 def test_matchid_with_decimal_commas(tmp_path):
     rows = [
-        "0;" + ";".join(repr(float(x)) for x in (*place, *move)) + ";0.001"
-        for place, move in zip(PLACE, MOVE, strict=True)
+        "0;" + ";".join(repr(float(x)) for x in (*point, *move)) + ";0.001"
+        for point, move in zip(PLACE, MOVE, strict=True)
     ]
     rows[3] = "0;3.0;3.0;299.0;NeuN;n. def.;NaN;"
     path = tmp_path / "a.csv"
@@ -260,15 +260,15 @@ Psi [deg];0.281404039
 def test_matchid_numbers(tmp_path):
     path = tmp_path / "cal.caldat"
     path.write_text(CALIBRATION)
-    one, two = read_rig(path).cameras
-    assert (one.name, two.name, one.size) == ("0", "1", None)
-    np.testing.assert_array_equal(one.T_camera_object, np.eye(4))
-    np.testing.assert_array_equal(two.matrix[0], [6607.618164, 0.5, 917.9733887])
+    first, second = read_rig(path).cameras
+    assert (first.name, second.name, first.size) == ("0", "1", None)
+    np.testing.assert_array_equal(first.T_camera_object, np.eye(4))
+    np.testing.assert_array_equal(second.matrix[0], [6607.618164, 0.5, 917.9733887])
     lens = [0.064598486, -4.531373978, 0.001, 0.002, 29.78838921, 0, 0, 0]
-    np.testing.assert_array_equal(two.distortion, lens)
+    np.testing.assert_array_equal(second.distortion, lens)
     turn = rotation_from_angles([0.130689541, -19.06769369, 0.281404039])
-    np.testing.assert_allclose(two.T_camera_object[:3, :3], turn, atol=1e-15)
-    np.testing.assert_allclose(two.T_camera_object[0, 3], 0.1222488624, rtol=1e-14)
+    np.testing.assert_allclose(second.T_camera_object[:3, :3], turn, atol=1e-15)
+    np.testing.assert_allclose(second.T_camera_object[0, 3], 0.1222488624, rtol=1e-14)
     # pyvale writes the same keys as YAML, radians are told by their unit.
     yaml = CALIBRATION.replace(";", ": ").replace("[deg]", "[rad]")
     (tmp_path / "cal.yaml").write_text(yaml)
@@ -288,9 +288,9 @@ def test_matchid_calibration_fits_dices_matches(shared_data, tmp_path):
     fine = gold["SIGMA"] >= 0.0
     left = gold_columns(gold, "COORDINATE_X", "COORDINATE_Y")[fine]
     right = gold_columns(gold, "STEREO_COORDINATES_X", "STEREO_COORDINATES_Y")[fine]
-    found = triangulate(read_rig(path), np.stack([left, right]), 0.05)
+    points = triangulate(read_rig(path), np.stack([left, right]), 0.05)
     # Any other order of the angles leaves 0.4 px or more.
-    assert np.sqrt(np.mean(found.residual**2)) < 0.07
+    assert np.sqrt(np.mean(points.residual**2)) < 0.07
 
 
 @pytest.mark.parametrize(

@@ -163,15 +163,20 @@ def _dice(tmp_path, old="", new=""):
 
 
 def test_dice_order_and_chain(tmp_path):
-    one, two = read_rig(_dice(tmp_path)).cameras
-    assert (one.name, one.size, two.name, two.size) == ("one", (640, 480), "1", None)
-    np.testing.assert_array_equal(one.matrix, [[1400, 0, 319.5], [0, 1410, 239.5], [0, 0, 1]])
-    np.testing.assert_array_equal(one.distortion, [0.1, 0, 0, 0.002, 0.3, 0, 0, 0])
+    left, right = read_rig(_dice(tmp_path)).cameras
+    assert (left.name, left.size, right.name, right.size) == (
+        "one",
+        (640, 480),
+        "1",
+        None,
+    )
+    np.testing.assert_array_equal(left.matrix, [[1400, 0, 319.5], [0, 1410, 239.5], [0, 0, 1]])
+    np.testing.assert_array_equal(left.distortion, [0.1, 0, 0, 0.002, 0.3, 0, 0, 0])
     first = np.eye(4)
     first[:3, :3], first[2, 3] = rotation_from_angles([10.0, 0.0, 0.0]), 0.007
-    np.testing.assert_allclose(one.T_camera_object, first, atol=1e-15)
+    np.testing.assert_allclose(left.T_camera_object, first, atol=1e-15)
     step = np.array([[0, -1, 0, 0.1], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-    np.testing.assert_allclose(two.T_camera_object, step @ first, atol=1e-15)
+    np.testing.assert_allclose(right.T_camera_object, step @ first, atol=1e-15)
     plain = read_rig(_dice(tmp_path, 'value="true"', 'value="false"')).cameras[1]
     np.testing.assert_allclose(plain.T_camera_object, step, atol=1e-15)
 
@@ -209,12 +214,12 @@ def test_two_calibrations_of_one_rig_agree_on_dices_matches(shared_data):
     depths, shapes = [], []
     for name in ("cal_vic3d.xml", "cal_pyaldic.xml"):
         rig = read_rig(folder / name)
-        found = triangulate(rig, matches, 0.05)
+        points = triangulate(rig, matches, 0.05)
         # Both programs report calibrations of some 0.05 px.
-        assert np.sqrt(np.mean(found.residual**2)) < 0.06
+        assert np.sqrt(np.mean(points.residual**2)) < 0.06
         pose = rig.cameras[0].T_camera_object
-        depths.append(found.point @ pose[2, :3] + pose[2, 3])
-        shapes.append(found.point)
+        depths.append(points.point @ pose[2, :3] + pose[2, 3])
+        shapes.append(points.point)
     # Two independent calibrations with a target: a fraction of a per cent.
     assert np.median(depths[0] / depths[1]) == pytest.approx(1.0, abs=0.003)
     assert np.median(depths[0]) == pytest.approx(0.383, abs=0.005)

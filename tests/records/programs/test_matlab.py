@@ -147,12 +147,12 @@ def _read(path):
 @pytest.mark.parametrize("compressed", [False, True])
 def test_what_was_saved_comes_back(tmp_path, compressed):
     savemat(tmp_path / "a.mat", CONTENT, do_compression=compressed)
-    found = _read(tmp_path / "a.mat")
-    np.testing.assert_array_equal(found["cell"][0], np.eye(2))
-    assert found["cell"][2] == "text"
-    assert found["struct"]["a"] == 1 + 2j
-    assert found["struct"]["b"]["c"] == 3.0
-    np.testing.assert_array_equal(found["whole"], [1, 2, 3])
+    value = _read(tmp_path / "a.mat")
+    np.testing.assert_array_equal(value["cell"][0], np.eye(2))
+    assert value["cell"][2] == "text"
+    assert value["struct"]["a"] == 1 + 2j
+    assert value["struct"]["b"]["c"] == 3.0
+    np.testing.assert_array_equal(value["whole"], [1, 2, 3])
 
 
 def test_a_wrong_bit_anywhere_in_the_structure_is_survived(tmp_path):
@@ -161,10 +161,10 @@ def test_a_wrong_bit_anywhere_in_the_structure_is_survived(tmp_path):
     savemat(path, CONTENT)
     whole = path.read_bytes()
     refused = 0
-    for place in range(128, len(whole), 3):
+    for index in range(128, len(whole), 3):
         for bit in (0, 3, 7):
             content = bytearray(whole)
-            content[place] ^= 1 << bit
+            content[index] ^= 1 << bit
             path.write_bytes(content)
             try:
                 _read(path)
@@ -178,8 +178,8 @@ def test_a_size_that_is_only_claimed_takes_no_memory(tmp_path):
     path = tmp_path / "a.mat"
     savemat(path, {"cell": np.array([1.0, 2.0], dtype=object)})
     content = bytearray(path.read_bytes())
-    place = content.index((2).to_bytes(4, "little"), 150)
-    content[place : place + 4] = (2**31 - 1).to_bytes(4, "little")
+    index = content.index((2).to_bytes(4, "little"), 150)
+    content[index : index + 4] = (2**31 - 1).to_bytes(4, "little")
     path.write_bytes(content)
     with pytest.raises(RecordError, match=r"is odd .*do not belong together.*save it again"):
         _read(path)

@@ -61,13 +61,13 @@ def test_multidic_poor_matches(tmp_path, version):
 def test_multidic_refusals(tmp_path, version):
     states = multidic_states()
     path = tmp_path / "a.mat"
-    for found, message in (
+    for content, message in (
         (states[:1], "Points3D holds 1 state"),
         ([state[:, :2] for state in states], "are n x 2; must be n x 3"),
         ([states[0], states[1][:3], states[2]], "differ in size"),
     ):
         with pytest.raises(RecordError, match=message):
-            read_measured("multidic", write_mat(path, "DIC3D", found, version=version))
+            read_measured("multidic", write_mat(path, "DIC3D", content, version=version))
     write_mat(path, "DIC3D", states, version=version)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
@@ -145,12 +145,14 @@ def test_multidic_transformation_is_the_camera(tmp_path, plain_rig):
     for path in (tmp_path, tmp_path / "DLTstruct_cam_202.mat"):
         rig = read_rig(path)
         assert [camera.name for camera in rig.cameras] == ["201", "202"]
-        for found, wanted in zip(rig.cameras, plain_rig.cameras, strict=True):
+        for read_camera, wanted in zip(rig.cameras, plain_rig.cameras, strict=True):
             # Rounding of the decomposition, relative to 1400 px.
-            np.testing.assert_allclose(found.matrix, wanted.matrix, atol=1e-8)
-            np.testing.assert_allclose(found.T_camera_object, wanted.T_camera_object, atol=1e-11)
-            assert found.size is None
-            assert not found.distortion.any()
+            np.testing.assert_allclose(read_camera.matrix, wanted.matrix, atol=1e-8)
+            np.testing.assert_allclose(
+                read_camera.T_camera_object, wanted.T_camera_object, atol=1e-11
+            )
+            assert read_camera.size is None
+            assert not read_camera.distortion.any()
     for known, camera in zip(read_control_points(tmp_path), plain_rig.cameras, strict=True):
         points, pixels = known
         assert points.shape == (8, 3)

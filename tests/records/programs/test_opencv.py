@@ -100,15 +100,15 @@ def _stored(path, **entries):
 
 
 def _assert_is_the_pair(rig, names=("1", "2")):
-    one, two = rig.cameras
-    assert (one.name, two.name) == names
-    np.testing.assert_array_equal(one.matrix, K1)
-    np.testing.assert_array_equal(two.matrix, K2)
-    np.testing.assert_array_equal(one.distortion[:5], D1[0])
-    np.testing.assert_array_equal(two.distortion, D2[0])
-    np.testing.assert_array_equal(one.T_camera_object, np.eye(4))
-    np.testing.assert_allclose(two.T_camera_object[:3, :3], R, atol=1e-15)
-    np.testing.assert_allclose(two.T_camera_object[:3, 3], MILLIMETRES, rtol=1e-14)
+    first, second = rig.cameras
+    assert (first.name, second.name) == names
+    np.testing.assert_array_equal(first.matrix, K1)
+    np.testing.assert_array_equal(second.matrix, K2)
+    np.testing.assert_array_equal(first.distortion[:5], D1[0])
+    np.testing.assert_array_equal(second.distortion, D2[0])
+    np.testing.assert_array_equal(first.T_camera_object, np.eye(4))
+    np.testing.assert_allclose(second.T_camera_object[:3, :3], R, atol=1e-15)
+    np.testing.assert_allclose(second.T_camera_object[:3, 3], MILLIMETRES, rtol=1e-14)
 
 
 @pytest.mark.parametrize("suffix", ["yml", "yaml", "xml", "json"])
@@ -161,10 +161,12 @@ def test_opencv_pose_per_camera_in_one_file(tmp_path):
         T3=np.zeros(3),
         length_unit="mm",
     )
-    one, two, three = read_rig(path).cameras
-    np.testing.assert_allclose(one.T_camera_object[:3, :3], R, atol=1e-15)
-    np.testing.assert_allclose(two.T_camera_object[:3, :3], turned, atol=1e-15)
-    np.testing.assert_allclose(two.T_camera_object[:3, 3], 2.0 * np.array(MILLIMETRES), rtol=1e-14)
+    first, second, three = read_rig(path).cameras
+    np.testing.assert_allclose(first.T_camera_object[:3, :3], R, atol=1e-15)
+    np.testing.assert_allclose(second.T_camera_object[:3, :3], turned, atol=1e-15)
+    np.testing.assert_allclose(
+        second.T_camera_object[:3, 3], 2.0 * np.array(MILLIMETRES), rtol=1e-14
+    )
     np.testing.assert_array_equal(three.T_camera_object, np.eye(4))
     assert not three.distortion.any()
 
@@ -305,14 +307,14 @@ def test_refusals_name_the_camera(tmp_path, old, new, message):
 def test_kalibr_chain(tmp_path):
     path = tmp_path / "camchain.yaml"
     path.write_text(KALIBR)
-    one, two, three = read_rig(path).cameras
-    assert [one.name, two.name, three.name, one.size, two.size] == [
+    first, second, three = read_rig(path).cameras
+    assert [first.name, second.name, three.name, first.size, second.size] == [
         "cam0", "cam1", "cam2", (640, 480), None,
     ]  # fmt: skip
-    np.testing.assert_array_equal(one.matrix, [[1400, 0, 319.5], [0, 1410, 239.5], [0, 0, 1]])
-    np.testing.assert_array_equal(one.distortion[:5], [0.1, -0.2, 0.001, 0.002, 0.0])
+    np.testing.assert_array_equal(first.matrix, [[1400, 0, 319.5], [0, 1410, 239.5], [0, 0, 1]])
+    np.testing.assert_array_equal(first.distortion[:5], [0.1, -0.2, 0.001, 0.002, 0.0])
     step = np.array([[0, -1, 0, 0.1], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-    np.testing.assert_allclose(two.T_camera_object, step, atol=1e-15)
+    np.testing.assert_allclose(second.T_camera_object, step, atol=1e-15)
     last = np.eye(4)
     last[:3, 3] = [0.2, 0.0, 0.3]
     np.testing.assert_allclose(three.T_camera_object, last @ step, atol=1e-15)

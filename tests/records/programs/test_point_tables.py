@@ -66,14 +66,14 @@ def test_opencorr_matches_that_hardly_correlate_are_no_measurements(tmp_path):
     rows[0, 7] = 0.07
     rows[1, 5] = 0.74
     path = write_table(tmp_path / "a.csv", OPENCORR, rows)
-    for least, kept in ((None, [2]), (0.5, [1, 2]), (0.0, [0, 1, 2]), (0.965, [])):
-        if not kept:
+    for least, left in ((None, [2]), (0.5, [1, 2]), (0.0, [0, 1, 2]), (0.965, [])):
+        if not left:
             with pytest.raises(RecordError, match=r"3 correlate by less than 0.965 \(--min-score"):
                 read_measured("opencorr", path, min_score=least)
             continue
         measured = read_measured("opencorr", path, min_score=least)
-        assert list(np.flatnonzero(measured_rows(measured.displacement))) == kept
-        assert measured.poorly_correlated == 3 - len(kept)
+        assert list(np.flatnonzero(measured_rows(measured.displacement))) == left
+        assert measured.poorly_correlated == 3 - len(left)
     with pytest.raises(RecordError, match="--min-score is 75; must be a correlation"):
         read_measured("opencorr", path, min_score=75.0)
     bare = write_table(tmp_path / "b.csv", "u,v,w,ref_x,ref_y,ref_z", np.ones((2, 6)))

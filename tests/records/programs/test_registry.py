@@ -202,8 +202,8 @@ def test_any_calibration_becomes_a_rig_toml(shared_data, tmp_path):
     write_rig(tmp_path / "rig.toml", rig)
     again = read_rig(tmp_path / "rig.toml")
     points = np.array([[0.0, 0.0, 0.38], [0.03, -0.01, 0.4]])
-    for one, two in zip(rig.cameras, again.cameras, strict=True):
-        np.testing.assert_allclose(project(two, points), project(one, points), atol=1e-9)
+    for first, second in zip(rig.cameras, again.cameras, strict=True):
+        np.testing.assert_allclose(project(second, points), project(first, points), atol=1e-9)
 
 
 @pytest.fixture
@@ -219,9 +219,9 @@ def toml_file(tmp_path):
     return write
 
 
-def _assert_same(one, other):
-    assert one.reference == other.reference
-    for a, b in zip(one.cameras, other.cameras, strict=True):
+def _assert_same(first, other):
+    assert first.reference == other.reference
+    for a, b in zip(first.cameras, other.cameras, strict=True):
         assert (a.name, a.size) == (b.name, b.size)
         np.testing.assert_array_equal(a.matrix, b.matrix)
         np.testing.assert_array_equal(a.distortion, b.distortion)

@@ -73,8 +73,8 @@ def _room(flow, motion, rig):
     """Distance to the edge of the pictures, at rest and after the motion, over all cameras [px]."""
     room = np.full(len(flow.point), np.inf)
     for camera in rig.cameras:
-        for place in (flow.point, flow.point + motion(flow.point)):
-            pixel = projected(camera, place)
+        for position in (flow.point, flow.point + motion(flow.point)):
+            pixel = projected(camera, position)
             far = np.array(SHAPE[::-1]) - 1.0 - pixel
             room = np.minimum(room, np.minimum(pixel, far).min(axis=1))
     return room
@@ -126,13 +126,13 @@ def test_fewer_unknowns_of_a_window_leave_less_noise_and_no_bias(flows, name):
     motion = MOTIONS[name]
     state = _still()
     views = noisy_views(example_views(name), NOISE, 101)
-    found = {"affine": flows[name]}
+    by_shape = {"affine": flows[name]}
     for shape in ("shift", "quadratic"):
-        found[shape] = _flow(state, views, JointFlow(shape=shape))
-    good = np.logical_and.reduce([is_valid(flow) for flow in found.values()])
+        by_shape[shape] = _flow(state, views, JointFlow(shape=shape))
+    good = np.logical_and.reduce([is_valid(flow) for flow in by_shape.values()])
     assert good.sum() > 0.95 * is_valid(flows[name]).sum()
     rms = {}
-    for shape, flow in found.items():
+    for shape, flow in by_shape.items():
         error = _error(flow, motion)[good]
         assert np.abs(error / _sigma(flow)[good]).max() < 6.0
         rms[shape] = np.sqrt((error[:, :2] ** 2).mean())
@@ -274,10 +274,10 @@ def test_a_camera_behind_an_obstacle_of_the_mesh_drops_out():
     mesh = np.vstack([vertices, corners]), np.vstack([triangles, plate])
     views = []
     for seed, name in enumerate(("still", "shift")):
-        one = noisy_views(example_views(name), NOISE, seed)
+        pictures = noisy_views(example_views(name), NOISE, seed)
         box = projected(stage.rig.cameras[1], np.array(corners)).round().astype(np.int32)
-        cv2.fillConvexPoly(one[1], box, 200.0)
-        views.append(one)
+        cv2.fillConvexPoly(pictures[1], box, 200.0)
+        views.append(pictures)
     state = JointFlow().start_on(stage.rig, views[0], *mesh)
     flow = _flow(state, views[1])
     motion = MOTIONS["shift"]
@@ -378,7 +378,7 @@ def test_what_hardly_moves_between_instants_is_not_searched_for(monkeypatch):
     slow = [lambda points, x=x: np.zeros_like(points) + np.array([x, 0.0, 0.0])
             for x in (0.0, 1e-4, 2e-4)]  # fmt: skip
     views = [*map(example().views, slow), example_views("bump")]
-    series = [noisy_views(each, NOISE, 20 + k) for k, each in enumerate(views)]
+    series = [noisy_views(pictures, NOISE, 20 + k) for k, pictures in enumerate(views)]
     counts = []
     for flow, motion in zip(followed(_still(), series), [*slow, MOTIONS["bump"]], strict=True):
         counts.append(len(searches))

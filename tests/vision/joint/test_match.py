@@ -171,10 +171,11 @@ def test_points_beside_what_covers_the_surface_are_less_certain():
     flow = next(followed(first_instant(example(), still), [covered]))
     away, before = (
         np.linalg.norm(
-            one.pixel[:, None] - one.pixel[np.isin(one.outcome, (Outcome.SCORE, Outcome.LOST))],
+            measured.pixel[:, None]
+            - measured.pixel[np.isin(measured.outcome, (Outcome.SCORE, Outcome.LOST))],
             axis=2,
         ).min(axis=1, initial=np.inf)
-        for one in (flow, plain)
+        for measured in (flow, plain)
     )
     both = is_valid(flow) & is_valid(plain) & (before > flow.subset / 2)
     near, far = both & (away <= flow.subset / 2), both & (away > flow.subset / 2)

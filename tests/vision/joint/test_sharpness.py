@@ -46,9 +46,9 @@ def test_the_sharper_picture_is_blurred_as_the_other_is(first, later):
     for ours, theirs, plain in zip(there.pictures, pictures, STAGE.views(), strict=True):
         wanted = cv2.GaussianBlur(plain, (0, 0), float(np.hypot(1.2, _SMOOTHING)))
         inner = np.s_[6:-6, 6:-6]
-        for found in (ours.grey, theirs.grey):
+        for grey in (ours.grey, theirs.grey):
             # Noise of 1.5 is 0.4 after the low-pass; unlike widths differ by 5 grey levels.
-            assert np.sqrt(np.mean((found[inner] - wanted[inner]) ** 2)) < 1.5
+            assert np.sqrt(np.mean((grey[inner] - wanted[inner]) ** 2)) < 1.5
     # Noise is correlated as far as in the picture that is not blurred further: that has most of it.
     assert there.smoothing == _SMOOTHING
 
@@ -94,10 +94,10 @@ def test_a_window_tells_by_how_much_it_was_blurred(turn):
     shaded = [view + 12.0 + np.linspace(0.0, 30.0, view.shape[1]) for view in blurred]
     for views, wanted in ((plain, 0.0), (blurred, variance), (shaded, variance)):
         for camera, later in enumerate(spline_pictures(views, scene.smoothing)):
-            found = _window_variances(scene, later, rows, matched(motion), camera)
+            estimated = _window_variances(scene, later, rows, matched(motion), camera)
             # The mean of both Laplacians leaves the third order; a picture that was rendered turned
             # is as sharp as the first to a hundredth of a square pixel.
-            np.testing.assert_allclose(np.median(found), wanted, rtol=0.03, atol=0.01)
+            np.testing.assert_allclose(np.median(estimated), wanted, rtol=0.03, atol=0.01)
 
 
 def matched(motion):

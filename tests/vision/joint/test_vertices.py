@@ -72,15 +72,18 @@ def test_errors_are_small_and_as_large_as_claimed(mesh, name):
     motion = MOTIONS[name]
     square = []
     for seed in (1, 2):
-        found = vertex_displacement(_flow(name, seed=seed), _camera(), vertices, triangles)
-        measured = np.isfinite(found.displacement).all(axis=1)
+        vertex_motion = vertex_displacement(_flow(name, seed=seed), _camera(), vertices, triangles)
+        measured = np.isfinite(vertex_motion.displacement).all(axis=1)
         inside = _inside(vertices, 22.0)
         assert measured[inside].all()
-        error = (found.displacement - motion(vertices))[measured]
+        error = (vertex_motion.displacement - motion(vertices))[measured]
         square.append(
-            np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance[measured]), error) / 3.0
+            np.einsum(
+                "ni,nij,nj->n", error, np.linalg.inv(vertex_motion.covariance[measured]), error
+            )
+            / 3.0
         )
-        sigma = np.sqrt(np.einsum("nii->ni", found.covariance[measured]))
+        sigma = np.sqrt(np.einsum("nii->ni", vertex_motion.covariance[measured]))
         assert np.abs(error / sigma)[inside[measured]].max() < 6.0
         # Beyond the last points quadratics are extrapolated: the claim is itself a guess.
         assert np.abs(error / sigma).max() < 10.0
@@ -97,10 +100,10 @@ def test_without_noise_vertices_are_exact_through_lenses_too(mesh):
     vertices, triangles = mesh
     flow = _flow("turn", noise=0.0, lens=LENS)
     camera = example(3, LENS).rig.cameras[0]
-    found = vertex_displacement(flow, camera, vertices, triangles)
-    measured = np.isfinite(found.displacement).all(axis=1)
+    vertex_motion = vertex_displacement(flow, camera, vertices, triangles)
+    measured = np.isfinite(vertex_motion.displacement).all(axis=1)
     measured &= _inside(vertices, 22.0)
-    error = (found.displacement - MOTIONS["turn"](vertices))[measured]
+    error = (vertex_motion.displacement - MOTIONS["turn"](vertices))[measured]
     # A thousandth of a pixel, three in depth; rigid motion is exact on the dome.
     assert np.sqrt((error**2).mean(axis=0)).max() < 3e-3 * PITCH
 
@@ -108,27 +111,27 @@ def test_without_noise_vertices_are_exact_through_lenses_too(mesh):
 def test_only_vertices_among_points_are_measured_and_all_are_counted(mesh):
     vertices, triangles = mesh
     flow = _flow("shift")
-    found = vertex_displacement(flow, _camera(), vertices, triangles)
-    measured = np.isfinite(found.displacement).all(axis=1)
-    np.testing.assert_array_equal(measured, np.isfinite(found.covariance).all(axis=(1, 2)))
+    vertex_motion = vertex_displacement(flow, _camera(), vertices, triangles)
+    measured = np.isfinite(vertex_motion.displacement).all(axis=1)
+    np.testing.assert_array_equal(measured, np.isfinite(vertex_motion.covariance).all(axis=(1, 2)))
     valid = flow.point[is_valid(flow)]
-    assert (found.count[measured] >= 12).all()
+    assert (vertex_motion.count[measured] >= 12).all()
     # The radius, 12 px, may double where there are few.
     nearest = np.linalg.norm(vertices[:, None] - valid, axis=2).min(axis=1)
     assert not measured[nearest > 25.0 * PITCH].any()
-    assert not found.count[nearest > 25.0 * PITCH].any()
+    assert not vertex_motion.count[nearest > 25.0 * PITCH].any()
     near = (np.linalg.norm(vertices[:, None] - valid, axis=2) < 12.0 * PITCH).sum(axis=1)
     inside = _inside(vertices, 25.0)
-    np.testing.assert_allclose(found.count[inside].mean(), near[inside].mean(), rtol=0.15)
+    np.testing.assert_allclose(vertex_motion.count[inside].mean(), near[inside].mean(), rtol=0.15)
 
 
 def test_vertices_that_face_away_are_not_measured(mesh):
     vertices, triangles = mesh
     flow = _flow("shift")
-    found = vertex_displacement(flow, _camera(), vertices, triangles[:, ::-1])
-    assert np.isnan(found.displacement).all()
-    assert np.isnan(found.covariance).all()
-    assert not found.count.any()
+    vertex_motion = vertex_displacement(flow, _camera(), vertices, triangles[:, ::-1])
+    assert np.isnan(vertex_motion.displacement).all()
+    assert np.isnan(vertex_motion.covariance).all()
+    assert not vertex_motion.count.any()
 
 
 def test_rejected_points_do_not_count(mesh):
@@ -158,8 +161,8 @@ def test_sparse_points_and_small_windows_reach_the_vertices_too(mesh, settings):
     vertices, triangles = mesh
     flow = _flow("shift", noise=1.0, method=JointFlow(**settings))
     assert is_valid(flow).mean() > 0.5
-    found = vertex_displacement(flow, _camera(), vertices, triangles)
-    measured = np.isfinite(found.displacement).all(axis=1)
+    vertex_motion = vertex_displacement(flow, _camera(), vertices, triangles)
+    measured = np.isfinite(vertex_motion.displacement).all(axis=1)
     assert measured[_inside(vertices, 30.0)].all()
 
 
@@ -190,24 +193,28 @@ def _measured(motion, seeds, method=JointFlow()):
     for still, moved in zip(before, after, strict=True):
         start = method.start(stage.rig, noisy_views(still, 0.5, 3), _mesh())
         flow = next(followed(start, [noisy_views(moved, 0.5, 7)], method))
-        found = method.vertices(flow, stage.rig, _mesh())
-        yield method.averaged(found, flow, stage.rig, _mesh())
+        vertex_motion = method.vertices(flow, stage.rig, _mesh())
+        yield method.averaged(vertex_motion, flow, stage.rig, _mesh())
 
 
-def _averaged(found, motion):
-    average = found.average
+def _averaged(vertex_motion, motion):
+    average = vertex_motion.average
     moved = (average.weights @ motion(average.points).ravel()).reshape(-1, 3)
     moved[~average.has_weights] = np.nan
     return moved
 
 
 def test_the_average_is_what_windows_find():
-    place = _mesh().vertices
+    vertices = _mesh().vertices
     measured = list(_measured(BUMP, (1, 2, 3)))
     # Each texture has errors of its own, 0.005 px; their mean shows what all windows share.
-    error = np.mean([one.displacement for one in measured], axis=0) - BUMP(place)
-    expected = np.mean([_averaged(one, BUMP) for one in measured], axis=0) - BUMP(place)
-    chosen = np.linalg.norm(place[:, :2], axis=1) < 0.016
+    error = np.mean([measured_one.displacement for measured_one in measured], axis=0) - BUMP(
+        vertices
+    )
+    expected = np.mean([_averaged(measured_one, BUMP) for measured_one in measured], axis=0) - BUMP(
+        vertices
+    )
+    chosen = np.linalg.norm(vertices[:, :2], axis=1) < 0.016
     chosen &= np.isfinite(error).all(axis=1) & np.isfinite(expected).all(axis=1)
     assert chosen.sum() > 150
     error, expected = error[chosen], expected[chosen]
@@ -220,44 +227,52 @@ def test_the_average_is_what_windows_find():
 
 @pytest.mark.parametrize("shape", ["affine", "quadratic"])
 def test_what_windows_follow_is_its_own_average(shape):
-    place = _mesh().vertices
-    (found,) = _measured(STILL, (1,), JointFlow(shape=shape))
-    given = found.average.has_weights
-    assert given[np.isfinite(found.displacement).all(axis=1)].mean() > 0.9
+    vertices = _mesh().vertices
+    (vertex_motion,) = _measured(STILL, (1,), JointFlow(shape=shape))
+    given = vertex_motion.average.has_weights
+    assert given[np.isfinite(vertex_motion.displacement).all(axis=1)].mean() > 0.9
 
     def turned(points):
         return np.cross([0.01, -0.02, 0.03], points) + np.array([1e-3, 0.0, -1e-3])
 
     # Points are seen on finer facets, 1e-7 of a window's place apart; times a turn of 0.04.
-    np.testing.assert_allclose(_averaged(found, turned)[given], turned(place)[given], atol=2e-8)
+    np.testing.assert_allclose(
+        _averaged(vertex_motion, turned)[given], turned(vertices)[given], atol=2e-8
+    )
 
 
 @pytest.mark.slow
 def test_quadratic_windows_leave_less_of_a_bend():
-    dent, place = bump((0.0, 0.0, -1e-3), 0.007), _mesh().vertices
+    dent, vertices = bump((0.0, 0.0, -1e-3), 0.007), _mesh().vertices
 
     def bias(shape):
-        (found,) = _measured(dent, (1,), JointFlow(shape=shape))
-        away = (_averaged(found, dent) - dent(place))[np.linalg.norm(place[:, :2], axis=1) < 0.016]
+        (vertex_motion,) = _measured(dent, (1,), JointFlow(shape=shape))
+        away = (_averaged(vertex_motion, dent) - dent(vertices))[
+            np.linalg.norm(vertices[:, :2], axis=1) < 0.016
+        ]
         return np.sqrt(np.nanmean(away[:, 2] ** 2))
 
     assert bias("quadratic") < 0.5 * bias("affine")
 
 
 def test_shifted_windows_say_nothing_of_their_average():
-    (found,) = _measured(STILL, (1,), JointFlow(shape="shift"))
-    assert found.average is None
+    (vertex_motion,) = _measured(STILL, (1,), JointFlow(shape="shift"))
+    assert vertex_motion.average is None
 
 
 def test_windows_hold_the_pixels_of_all_cameras():
     stage, mesh = example(), _mesh()
     inside = np.flatnonzero(np.linalg.norm(mesh.vertices[:, :2], axis=1) < 0.012)
-    place = mesh.vertices[inside]
-    tangent = np.tile(np.eye(3)[:2], (len(place), 1, 1))
+    position = mesh.vertices[inside]
+    tangent = np.tile(np.eye(3)[:2], (len(position), 1, 1))
     nothing = np.zeros(0, dtype=np.int64)
-    points = LocalFits(place, tangent, np.ones(len(place)), place, nothing, nothing, np.zeros(0))
-    extent = 10.0 * pixel_sizes(stage.rig.cameras[0], place)
-    windows = averaging._windows(21, stage.rig, averaging._cut(mesh, 1.5e-3, place), points, extent)
+    points = LocalFits(
+        position, tangent, np.ones(len(position)), position, nothing, nothing, np.zeros(0)
+    )
+    extent = 10.0 * pixel_sizes(stage.rig.cameras[0], position)
+    windows = averaging._windows(
+        21, stage.rig, averaging._cut(mesh, 1.5e-3, position), points, extent
+    )
     pixels = np.bincount(windows.first, windows.weight)
     # Less a piece of some 20 px: windows are narrower, so that their spread is that of pixels.
     share = pixels / (len(stage.rig.cameras) * 21**2)
@@ -286,16 +301,18 @@ def test_what_a_camera_cannot_picture_is_in_none_of_its_windows():
     count = len(_mesh().vertices)
     triangles = np.concatenate([_mesh().triangles, [[count, count + 1, count + 2]]])
     inside = np.flatnonzero(np.linalg.norm(vertices[:, :2], axis=1) < 0.012)[:20]
-    place = np.concatenate([vertices[inside], far[:1]])
-    tangent = np.tile(np.eye(3)[:2], (len(place), 1, 1))
+    position = np.concatenate([vertices[inside], far[:1]])
+    tangent = np.tile(np.eye(3)[:2], (len(position), 1, 1))
     nothing = np.zeros(0, dtype=np.int64)
-    points = LocalFits(place, tangent, np.ones(len(place)), place, nothing, nothing, np.zeros(0))
+    points = LocalFits(
+        position, tangent, np.ones(len(position)), position, nothing, nothing, np.zeros(0)
+    )
     # Each triangle in nine: few pieces make the wall, with some before the cameras, some behind.
-    pieces = averaging._cut(TriangleMesh(vertices, triangles), 0.15, place)
+    pieces = averaging._cut(TriangleMesh(vertices, triangles), 0.15, position)
     beyond = pieces.middle[pieces.middle[:, 0] > 0.1, 2]
     assert beyond.min() < 0.25
     assert beyond.max() > 0.4
-    windows = averaging._windows(21, stage.rig, pieces, points, np.full(len(place), 3e-3))
+    windows = averaging._windows(21, stage.rig, pieces, points, np.full(len(position), 3e-3))
     assert set(windows.first.tolist()) == set(range(len(inside)))
 
 
@@ -317,40 +334,44 @@ def _motion(point):
 
 def _places():
     flat = np.random.default_rng(1).uniform(-0.012, 0.012, (30, 2))
-    place = np.column_stack([flat, -(flat**2).sum(axis=1) / (2.0 * RADIUS)])
+    position = np.column_stack([flat, -(flat**2).sum(axis=1) / (2.0 * RADIUS)])
     normal = np.column_stack([flat / RADIUS, np.ones(30)])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     first = np.cross(normal, [0.0, 1.0, 0.0])
     first /= np.linalg.norm(first, axis=1)[:, None]
-    return place, np.stack([first, np.cross(normal, first)], axis=1)
+    return position, np.stack([first, np.cross(normal, first)], axis=1)
 
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_operators_give_the_coefficients_of_the_field(order):
-    scatter, (place, tangent) = _scatter(), _places()
-    field = local_field(scatter, place, tangent, reach=REACH, order=order)
-    fits = local_fits(scatter, place, tangent, reach=REACH)
+    scatter, (position, tangent) = _scatter(), _places()
+    field = local_field(scatter, position, tangent, reach=REACH, order=order)
+    fits = local_fits(scatter, position, tangent, reach=REACH)
     operators, determined = coefficient_operators(fits, order, range(3 * order))
     assert determined.all()
-    found = [(one @ scatter.displacement.ravel()).reshape(-1, 3) for one in operators]
+    coefficients = [
+        (operator @ scatter.displacement.ravel()).reshape(-1, 3) for operator in operators
+    ]
     # The field turns its normal by the turn itself, an operator by its first order: their square.
     turn = (5e-3 * REACH) * 5e-3
-    np.testing.assert_allclose(found[0], field.displacement, atol=0.1 * turn)
+    np.testing.assert_allclose(coefficients[0], field.displacement, atol=0.1 * turn)
     for k in range(2):
-        np.testing.assert_allclose(found[1 + k] / REACH, field.gradient[:, k], atol=5e-3**2)
+        np.testing.assert_allclose(coefficients[1 + k] / REACH, field.gradient[:, k], atol=5e-3**2)
     for k in range(3 * (order - 1)):
         expected = field.curvature[:, k] * REACH**2
-        np.testing.assert_allclose(found[3 + k], expected, atol=turn)
+        np.testing.assert_allclose(coefficients[3 + k], expected, atol=turn)
         assert np.abs(expected).max() > 20.0 * turn
 
 
 def test_rigid_motions_are_exact_on_a_curved_surface():
-    scatter, (place, tangent) = _scatter(), _places()
-    (value,), _ = coefficient_operators(local_fits(scatter, place, tangent, reach=REACH), 2, (0,))
+    scatter, (position, tangent) = _scatter(), _places()
+    (value,), _ = coefficient_operators(
+        local_fits(scatter, position, tangent, reach=REACH), 2, (0,)
+    )
     for turn in 1e3 * np.eye(3):
         moved = (value @ np.cross(turn, scatter.point).ravel()).reshape(-1, 3)
         # Heights over the tangent plane are no quadratics, but they turn along.
-        np.testing.assert_allclose(moved, np.cross(turn, place), atol=1e-7)
+        np.testing.assert_allclose(moved, np.cross(turn, position), atol=1e-7)
 
 
 def test_points_on_a_line_determine_nothing():

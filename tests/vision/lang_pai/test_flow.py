@@ -46,7 +46,7 @@ def _pictures(rig, motion=(0.0, 0.0)):
     pictures = []
     for camera in rig.cameras:
         shift = np.array(motion) + FOCAL / DEPTH * camera.T_camera_object[:2, 3]
-        pictures.append(texture.image(Warp(lambda place, shift=shift: place - shift)))
+        pictures.append(texture.image(Warp(lambda pixel, shift=shift: pixel - shift)))
     return tuple(pictures)
 
 
@@ -171,7 +171,7 @@ def test_rounding_on_a_slope_is_rounding_of_depth_as_well(monkeypatch):
         return ray * (DEPTH / (ray @ [-0.4, 0.7, 1.0]))[:, None]
 
     side = [hit(half) - hit(-half) for half in 0.5 * np.eye(2)]
-    expected = sum(np.einsum("ni,nj->nij", one, one) for one in side) / 12.0
+    expected = sum(np.einsum("ni,nj->nij", ray, ray) for ray in side) / 12.0
     # Differences over a pixel against derivatives: (slope / focal length)^2.
     np.testing.assert_allclose(flow.bias[valid], expected, atol=1e-5 * PITCH**2)
 
@@ -248,8 +248,8 @@ def test_a_coarser_grid_is_a_part_of_the_finer_one_and_threads_do_not_matter():
     finally:
         numba.set_num_threads(threads)
     assert 8.5 < len(fine.pixel) / len(coarse.pixel) < 9.5
-    place = {tuple(np.rint(p).astype(int)): k for k, p in enumerate(fine.pixel)}
-    rows = [place[tuple(np.rint(p).astype(int))] for p in coarse.pixel]
+    row_of = {tuple(np.rint(p).astype(int)): k for k, p in enumerate(fine.pixel)}
+    rows = [row_of[tuple(np.rint(p).astype(int))] for p in coarse.pixel]
     np.testing.assert_array_equal(coarse.displacement, fine.displacement[rows])
     np.testing.assert_array_equal(coarse.outcome, fine.outcome[rows])
 
@@ -317,12 +317,12 @@ def _brute_vertex(point, motion, vertex):
     square = ((u[:, None] - u[None]) ** 2).sum(axis=2)
     median = np.sort(square, axis=1)[:, len(u) // 2]
     sigma = 1.4826 * (1.0 + 5.0 / (len(u) - 1)) * np.sqrt(median.min())
-    kept = np.linalg.norm(u - u[median.argmin()], axis=1) <= 3.0 * sigma
-    weight = 1.0 / (1.0 + d[kept] / 0.01)
-    mean = np.average(u[kept], axis=0, weights=weight)
+    inlier = np.linalg.norm(u - u[median.argmin()], axis=1) <= 3.0 * sigma
+    weight = 1.0 / (1.0 + d[inlier] / 0.01)
+    mean = np.average(u[inlier], axis=0, weights=weight)
     # numpy's own: reliability weights, the unbiased scatter; times the share of the mean.
-    scatter = np.cov(u[kept].T, aweights=weight)
-    return mean, scatter * (weight**2).sum() / weight.sum() ** 2, int(kept.sum())
+    scatter = np.cov(u[inlier].T, aweights=weight)
+    return mean, scatter * (weight**2).sum() / weight.sum() ** 2, int(inlier.sum())
 
 
 def test_vertices_are_the_papers_mean():
@@ -331,17 +331,17 @@ def test_vertices_are_the_papers_mean():
     vertices = np.array(
         [[0.0, 0.0, 0.0], [0.004, -0.003, 0.002], [0.5, 0.0, 0.0], [0.0, 0.0, 1e-3]]
     )
-    found = lang_pai_vertices(_flow(point, motion), vertices, np.array([[0, 1, 2]]))
+    measured = lang_pai_vertices(_flow(point, motion), vertices, np.array([[0, 1, 2]]))
     for v in (0, 1):
         mean, covariance, count = _brute_vertex(point, motion, vertices[v])
         assert 30 < count < 100
-        np.testing.assert_allclose(found.displacement[v], mean, rtol=1e-12)
-        np.testing.assert_allclose(found.covariance[v], covariance, rtol=1e-9, atol=1e-20)
-        assert found.count[v] == count
+        np.testing.assert_allclose(measured.displacement[v], mean, rtol=1e-12)
+        np.testing.assert_allclose(measured.covariance[v], covariance, rtol=1e-9, atol=1e-20)
+        assert measured.count[v] == count
     # Too far from all flow; of no triangle.
-    assert np.isnan(found.displacement[2:]).all()
-    assert np.isnan(found.covariance[2:]).all()
-    assert not found.count[2:].any()
+    assert np.isnan(measured.displacement[2:]).all()
+    assert np.isnan(measured.covariance[2:]).all()
+    assert not measured.count[2:].any()
 
 
 def test_the_limit_of_outliers_is_wider_where_there_are_few_motions():
@@ -351,10 +351,10 @@ def test_the_limit_of_outliers_is_wider_where_there_are_few_motions():
     point = (vertices[:, None] + rng.uniform(-0.005, 0.005, (201, 6, 3))).reshape(-1, 3)
     motion = 1e-4 * rng.standard_t(1.0, (1206, 3))
     triangles = np.arange(201).reshape(-1, 3)
-    found = lang_pai_vertices(_flow(point, motion), vertices, triangles)
-    kept = [_brute_vertex(point, motion, vertex)[2] for vertex in vertices]
-    np.testing.assert_array_equal(found.count, kept)
-    assert {4, 5, 6} <= set(kept)
+    measured = lang_pai_vertices(_flow(point, motion), vertices, triangles)
+    counts = [_brute_vertex(point, motion, vertex)[2] for vertex in vertices]
+    np.testing.assert_array_equal(measured.count, counts)
+    assert {4, 5, 6} <= set(counts)
 
 
 def test_a_third_of_outliers_does_no_harm():
@@ -377,10 +377,10 @@ def test_covariance_covers_the_error_of_independent_motions():
     vertices = np.repeat(0.1 * np.arange(2000.0)[:, None], 3, axis=1)
     triangles = np.arange(1998).reshape(-1, 3)
     # The corners of each cube are 0.87 cm away; the limit is at 7 of a component's sigmas.
-    found = lang_pai_vertices(
+    measured = lang_pai_vertices(
         _flow(point.reshape(-1, 3), motion.reshape(-1, 3)), vertices, triangles
     )
-    error, covariance = found.displacement[:1998], found.covariance[:1998]
+    error, covariance = measured.displacement[:1998], measured.covariance[:1998]
     square = np.einsum("vi,vij,vj->v", error, np.linalg.inv(covariance), error)
     # Few samples: Hotelling's T^2 of 50 draws has the mean 3 * 49 / (49 - 3 - 1).
     assert abs(square.mean() / (3.0 * 49 / 45) - 1.0) < 0.08
@@ -456,9 +456,9 @@ def test_rendered_translation(shared_data):
         whole = np.einsum("ni,nij,nj->n", error, np.linalg.inv(flow.covariance[valid]), error)
         # Median of chi square with three degrees of freedom: 2.37.
         assert 0.7 < np.sqrt(np.median(whole) / 2.37) < 1.4
-    found = lang_pai_vertices(flows[0], mesh.vertices, mesh.triangles)
-    good = np.isfinite(found.displacement).all(axis=1)
-    error = found.displacement[good] - [0.0025, 0.0, 0.0]
+    measured = lang_pai_vertices(flows[0], mesh.vertices, mesh.triangles)
+    good = np.isfinite(measured.displacement).all(axis=1)
+    error = measured.displacement[good] - [0.0025, 0.0, 0.0]
     assert good.sum() > 900
     # Steps of the rounding are shared by neighbours: averaging over a centimetre leaves them.
     assert 0.1e-3 < np.sqrt((error**2).sum(axis=1).mean()) < 0.4e-3

@@ -50,9 +50,9 @@ def _error(start, truth):
 
 
 def _in_picture(truth):
-    place = pixel_grid(truth.shape[:2]) + truth
+    pixel = pixel_grid(truth.shape[:2]) + truth
     last = np.array(truth.shape[1::-1]) - 1
-    return ((place >= 0.0) & (place <= last)).all(axis=-1)
+    return ((pixel >= 0.0) & (pixel <= last)).all(axis=-1)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -125,8 +125,8 @@ def test_the_last_search_makes_up_for_a_start_that_is_off():
     assert np.median(wrong) < 0.15
 
 
-def _ball(place):
-    return np.hypot(place[..., 0] - CENTRE[0], place[..., 1] - CENTRE[1]) < 80.0
+def _ball(pixel):
+    return np.hypot(pixel[..., 0] - CENTRE[0], pixel[..., 1] - CENTRE[1]) < 80.0
 
 
 def _scene(warp, *, rod=None, background=None):
@@ -157,8 +157,8 @@ def test_a_ball_before_a_dark_ground(shift):
     ].any()
 
 
-def _rod(place):
-    column, row = place[..., 0], place[..., 1]
+def _rod(pixel):
+    column, row = pixel[..., 0], pixel[..., 1]
     return (np.abs(column - 140.0 - 0.3 * (row - 127.0)) < 15.0) & (row < 140.0)
 
 
@@ -244,9 +244,9 @@ def test_scale_of_the_grey_levels_does_not_matter():
 def test_there_and_back_is_nowhere():
     rest, moved = _pair(CASES["bent"]["warp"])
     there, back = dense_start(rest, moved), dense_start(moved, rest)
-    place = (pixel_grid(SHAPE) + there.flow).astype(np.float32)
-    left = there.flow + cv2.remap(back.flow, place, None, cv2.INTER_LINEAR)
-    both = there.trusted & (cv2.remap(back.trusted.astype(np.float32), place, None, 1) > 0.99)
+    target = (pixel_grid(SHAPE) + there.flow).astype(np.float32)
+    left = there.flow + cv2.remap(back.flow, target, None, cv2.INTER_LINEAR)
+    both = there.trusted & (cv2.remap(back.trusted.astype(np.float32), target, None, 1) > 0.99)
     # Two errors of half a pixel.
     assert both.mean() > 0.8
     assert np.percentile(np.hypot(*np.moveaxis(left[both], -1, 0)), 99) < 1.0
@@ -344,14 +344,14 @@ def test_any_number_of_places_is_sampled():
     column, row = np.meshgrid(np.arange(60.0), np.arange(50.0))
     flow = np.stack([0.1 * column - 0.3 * row, 0.2 * row + 1.0], axis=-1).astype(np.float32)
     start = DenseStart(flow, column < 30.0)
-    place = np.random.default_rng(3).uniform(-4.0, [63.0, 53.0], size=(40_000, 2))
-    step, trusted = start.at(place)
-    x, y = place.T
-    inside = (place >= 0.0).all(axis=1) & (place <= [59.0, 49.0]).all(axis=1)
+    pixel = np.random.default_rng(3).uniform(-4.0, [63.0, 53.0], size=(40_000, 2))
+    step, trusted = start.at(pixel)
+    x, y = pixel.T
+    inside = (pixel >= 0.0).all(axis=1) & (pixel <= [59.0, 49.0]).all(axis=1)
     # OpenCV rounds places to a 32nd of a pixel: half of it times the slopes of the flow.
     wanted = np.stack([0.1 * x - 0.3 * y, 0.2 * y + 1.0], axis=1)
     np.testing.assert_allclose(step[inside], wanted[inside], atol=0.4 / 64.0 + 1e-5)
     sure = np.abs(x - 29.5) > 1.0 / 64.0
     np.testing.assert_array_equal(trusted[inside & sure], (x < 29.5)[inside & sure])
-    assert not trusted[(place < -1.0).any(axis=1) | (place > [60.0, 50.0]).any(axis=1)].any()
-    assert start.at(place[:0])[0].shape == (0, 2)
+    assert not trusted[(pixel < -1.0).any(axis=1) | (pixel > [60.0, 50.0]).any(axis=1)].any()
+    assert start.at(pixel[:0])[0].shape == (0, 2)

@@ -29,9 +29,9 @@ def _pair(warp=WARP):
 
 
 def test_features_follow_a_turn_a_strain_and_a_shift():
-    found = feature_matches(*_pair(), ALL, ALL)
-    gap = np.linalg.norm(found.displacement - WARP.displacement(found.point), axis=1)
-    assert len(found.point) > 80
+    matches = feature_matches(*_pair(), ALL, ALL)
+    gap = np.linalg.norm(matches.displacement - WARP.displacement(matches.point), axis=1)
+    assert len(matches.point) > 80
     # Features are good to about a pixel; the agreement of neighbours leaves no mistaken one.
     assert np.median(gap) < 0.5
     assert gap.max() < 5.0
@@ -40,10 +40,10 @@ def test_features_follow_a_turn_a_strain_and_a_shift():
 def test_features_keep_to_their_areas():
     left, right = ALL.copy(), ALL.copy()
     left[:, 100:], right[:, :90] = False, False
-    found = feature_matches(*_pair(), left, right)
-    assert len(found.point) > 5
-    assert found.point[:, 0].max() < 100.5
-    assert (found.point + found.displacement)[:, 0].min() > 89.0
+    matches = feature_matches(*_pair(), left, right)
+    assert len(matches.point) > 5
+    assert matches.point[:, 0].max() < 100.5
+    assert (matches.point + matches.displacement)[:, 0].min() > 89.0
 
 
 def test_no_features_where_there_is_nothing():
@@ -143,29 +143,29 @@ def test_a_blob_is_found_where_it_is(shape):
     """The larger picture is halved; places are those of the whole one."""
     row, column = np.mgrid[: shape[0], : shape[1]]
     square = (column - 201.0) ** 2 + (row - 133.0) ** 2
-    found = find_features(_picture(30.0 + 200.0 * np.exp(-0.5 * square / 6.0**2)))
-    distance = np.linalg.norm(found.point - [201.0, 133.0], axis=1)
+    features = find_features(_picture(30.0 + 200.0 * np.exp(-0.5 * square / 6.0**2)))
+    distance = np.linalg.norm(features.point - [201.0, 133.0], axis=1)
     # A twentieth of the blob's width; half a pixel would be a pixel's corner taken for its centre.
     assert distance.min() < 0.3
 
 
 def test_blank_pictures_have_none():
     blank = make_normalised_image(np.full((80, 90), 70.0, dtype=np.float32))
-    found = find_features(blank)
-    assert found.point.shape == (0, 2)
-    assert match_features(found, found).point.shape == (0, 2)
+    features = find_features(blank)
+    assert features.point.shape == (0, 2)
+    assert match_features(features, features).point.shape == (0, 2)
 
 
 def test_only_clear_mutual_choices_match():
     rng = np.random.default_rng(0)
     words = np.rint(rng.uniform(0.0, 100.0, size=(6, 128))).astype(np.float32)
-    place = rng.uniform(0.0, 100.0, size=(6, 2))
-    first = Features(place, words)
+    pixel = rng.uniform(0.0, 100.0, size=(6, 2))
+    first = Features(pixel, words)
     # The third feature occurs twice, the fifth and sixth not at all.
     twice = words[2] + np.rint(rng.normal(size=128)).astype(np.float32)
     second = Features(
-        np.vstack([place[:4] + 5.0, [[1.0, 1.0]]]), np.vstack([words[:4] + 1.0, [twice]])
+        np.vstack([pixel[:4] + 5.0, [[1.0, 1.0]]]), np.vstack([words[:4] + 1.0, [twice]])
     )
-    found = match_features(first, second)
-    np.testing.assert_array_equal(found.point, place[[0, 1, 3]])
-    np.testing.assert_array_equal(found.moved, place[[0, 1, 3]] + 5.0)
+    matches = match_features(first, second)
+    np.testing.assert_array_equal(matches.point, pixel[[0, 1, 3]])
+    np.testing.assert_array_equal(matches.moved, pixel[[0, 1, 3]] + 5.0)

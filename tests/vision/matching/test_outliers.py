@@ -45,11 +45,11 @@ STRAIN = np.array([[0.02, -0.01, 0.0], [0.03, 0.01, 0.0], [-0.02, 0.01, 0.0]])
 def test_a_linear_field_on_a_plane_is_continued_exactly():
     point, tangent = _surface(curved=False)
     displacement, gradient = _linear(point, tangent, STRAIN)
-    found = _predicted(point, tangent, displacement, gradient)
+    prediction = _predicted(point, tangent, displacement, gradient)
     # Rounding of millimetres.
-    np.testing.assert_allclose(found.displacement, displacement, atol=1e-17)
-    np.testing.assert_allclose(found.gradient, gradient, atol=1e-15)
-    np.testing.assert_allclose(found.scatter, 0.0, atol=1e-17)
+    np.testing.assert_allclose(prediction.displacement, displacement, atol=1e-17)
+    np.testing.assert_allclose(prediction.gradient, gradient, atol=1e-15)
+    np.testing.assert_allclose(prediction.scatter, 0.0, atol=1e-17)
 
 
 def test_a_rigid_motion_of_a_curved_surface_is_continued_exactly():
@@ -57,11 +57,11 @@ def test_a_rigid_motion_of_a_curved_surface_is_continued_exactly():
     point, tangent = _surface()
     turn = cv2.Rodrigues(np.array([0.3, -0.5, 0.4]))[0]
     displacement, gradient = _linear(point, tangent, turn - np.eye(3))
-    found = _predicted(point, tangent, displacement, gradient)
-    np.testing.assert_allclose(found.displacement, displacement, atol=1e-16)
-    np.testing.assert_allclose(found.scatter, 0.0, atol=1e-16)
+    prediction = _predicted(point, tangent, displacement, gradient)
+    np.testing.assert_allclose(prediction.displacement, displacement, atol=1e-16)
+    np.testing.assert_allclose(prediction.scatter, 0.0, atol=1e-16)
     # The gradient is a median of neighbours, whose tangents lean by up to a quarter: to that.
-    assert np.abs(found.gradient - gradient).max() < 0.3 * np.abs(gradient).max()
+    assert np.abs(prediction.gradient - gradient).max() < 0.3 * np.abs(gradient).max()
 
 
 def test_a_planted_outlier_is_contradicted_and_misleads_nobody():
@@ -74,13 +74,13 @@ def test_a_planted_outlier_is_contradicted_and_misleads_nobody():
     displacement[liars] += [5e-5, 0.0, -5e-5]
     gradient = gradient.copy()
     gradient[liars] += 0.5
-    found = _predicted(point, tangent, displacement, gradient)
-    away = np.linalg.norm(displacement - found.displacement, axis=1) / found.scatter
+    prediction = _predicted(point, tangent, displacement, gradient)
+    away = np.linalg.norm(displacement - prediction.displacement, axis=1) / prediction.scatter
     assert set(np.flatnonzero(away > 10.0)) == set(liars)
     others = np.setdiff1d(np.arange(len(point)), liars)
     # Medians of twelve or fewer words of 1 um, one of them false.
-    assert np.abs(found.displacement - truth)[others].max() < 3e-6
-    assert 0.5e-6 < np.median(found.scatter) < 3e-6
+    assert np.abs(prediction.displacement - truth)[others].max() < 3e-6
+    assert 0.5e-6 < np.median(prediction.scatter) < 3e-6
 
 
 def test_its_own_word_does_not_count():
@@ -102,9 +102,9 @@ def test_the_invalid_are_not_heard_but_answered():
     valid = np.random.default_rng(2).random(len(point)) > 0.3
     displacement[~valid] = np.nan
     gradient[~valid] = np.nan
-    found = _predicted(point, tangent, displacement, gradient, valid)
-    assert np.isfinite(found.displacement).all()
-    np.testing.assert_allclose(found.displacement, truth, atol=1e-17)
+    prediction = _predicted(point, tangent, displacement, gradient, valid)
+    assert np.isfinite(prediction.displacement).all()
+    np.testing.assert_allclose(prediction.displacement, truth, atol=1e-17)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 5])
@@ -113,13 +113,13 @@ def test_fewer_than_three_neighbours_say_nothing(count):
     displacement, gradient = _linear(point, tangent, STRAIN)
     valid = np.zeros(len(point), dtype=bool)
     valid[[112, 113, 111, 97, 127][:count]] = True
-    found = _predicted(point, tangent, displacement, gradient, valid)
-    told = np.isfinite(found.displacement).all(axis=1)
-    np.testing.assert_array_equal(told, np.isfinite(found.scatter))
-    np.testing.assert_array_equal(told, np.isfinite(found.gradient).all(axis=(1, 2)))
+    prediction = _predicted(point, tangent, displacement, gradient, valid)
+    has_prediction = np.isfinite(prediction.displacement).all(axis=1)
+    np.testing.assert_array_equal(has_prediction, np.isfinite(prediction.scatter))
+    np.testing.assert_array_equal(has_prediction, np.isfinite(prediction.gradient).all(axis=(1, 2)))
     others = np.linalg.norm(point[:, None] - point[valid], axis=2)
     expected = ((others < REACH) & (others > 0.0)).sum(axis=1) >= 3
-    np.testing.assert_array_equal(told, expected)
+    np.testing.assert_array_equal(has_prediction, expected)
 
 
 def test_median_around_counts_the_point_and_its_valid_neighbours():
@@ -128,12 +128,12 @@ def test_median_around_counts_the_point_and_its_valid_neighbours():
     valid = np.random.default_rng(4).random(len(point)) > 0.2
     value[~valid] = np.nan
     reach = 1.6e-3
-    found = median_around(point, value, valid, reach=reach)
+    medians = median_around(point, value, valid, reach=reach)
     apart = np.linalg.norm(point[:, None] - point, axis=2)
-    for i, one in enumerate(found):
+    for i, median in enumerate(medians):
         group = value[(apart[i] < reach) & valid]
-        assert one == (np.median(group) if len(group) else value[i]) or np.isnan(one)
-    assert np.isfinite(found[valid]).all()
+        assert median == (np.median(group) if len(group) else value[i]) or np.isnan(median)
+    assert np.isfinite(medians[valid]).all()
 
 
 def test_median_of_one_alone_is_its_own():

@@ -75,8 +75,8 @@ def _whole(scene, motion, rig):
     rows, columns = scene.pictures[0].grey.shape
     keep = np.ones(len(scene.point), dtype=bool)
     for camera in rig.cameras:
-        for place in (scene.point, scene.point + motion(scene.point)):
-            x, y = projected(camera, place).T
+        for position in (scene.point, scene.point + motion(scene.point)):
+            x, y = projected(camera, position).T
             keep &= (x > 13.0) & (x < columns - 14.0) & (y > 13.0) & (y < rows - 14.0)
     return keep
 
@@ -89,11 +89,11 @@ def test_without_noise_linear_motions_of_a_curved_surface_are_exact(still, name,
     of the window is carried by the normal without its own strain of 2 %, 0.5 um in the mean.
     """
     motion = MOTIONS[name]
-    found = Found(still, example_views(name), _start(still, motion))
+    match = Found(still, example_views(name), _start(still, motion))
     keep = _whole(still, motion, example().rig)
     assert keep.sum() > 300
-    assert found.good[keep].all()
-    error = (found.displacement - motion(still.point))[keep]
+    assert match.good[keep].all()
+    error = (match.displacement - motion(still.point))[keep]
     assert np.sqrt((error[:, :2] ** 2).mean()) < worse * 1e-3 * PITCH
     assert np.sqrt((error[:, 2] ** 2).mean()) < worse * 3e-3 * PITCH
     assert np.abs(error).max() < worse * 0.015 * PITCH
@@ -102,7 +102,7 @@ def test_without_noise_linear_motions_of_a_curved_surface_are_exact(still, name,
     for a in range(2):
         side = still.point + h * still.tangent[:, a]
         slope = (motion(side) - motion(still.point)) / h
-        off = (found.motion[:, 1 + a] / still.half_window[:, None] - slope)[keep]
+        off = (match.motion[:, 1 + a] / still.half_window[:, None] - slope)[keep]
         assert np.sqrt((off**2).mean()) * still.half_window.mean() < 5e-3 * PITCH
 
 
@@ -110,9 +110,9 @@ def test_quadratic_windows_follow_a_bump_that_linear_ones_blur(still):
     motion = MOTIONS["bump"]
     errors = []
     for bases in (3, 6):
-        found = Found(still, example_views("bump"), _start(still, motion), bases=bases)
-        keep = _whole(still, motion, example().rig) & found.good
-        errors.append((found.displacement - motion(still.point))[keep])
+        match = Found(still, example_views("bump"), _start(still, motion), bases=bases)
+        keep = _whole(still, motion, example().rig) & match.good
+        errors.append((match.displacement - motion(still.point))[keep])
     linear, quadratic = (np.sqrt((error**2).mean()) for error in errors)
     # Half the curvature, 1.5 mm / (12 mm)^2, times the mean square of half a window, 3 mm^2: 15 um;
     # what is left is of the fourth order, smaller by (3 mm / 12 mm)^2.
@@ -136,10 +136,10 @@ def test_second_derivatives_that_are_known_take_the_blur_away(still):
     start[:, 3] = 0.5 * (away(1, 0) + away(-1, 0)) - u
     start[:, 5] = 0.5 * (away(0, 1) + away(0, -1)) - u
     start[:, 4] = 0.25 * (away(1, 1) + away(-1, -1) - away(1, -1) - away(-1, 1))
-    found = Found(still, example_views("bump"), start)
-    np.testing.assert_array_equal(found.motion[found.good, 3:], start[found.good, 3:])
-    keep = _whole(still, motion, example().rig) & found.good
-    error = (found.displacement - u)[keep]
+    match = Found(still, example_views("bump"), start)
+    np.testing.assert_array_equal(match.motion[match.good, 3:], start[match.good, 3:])
+    keep = _whole(still, motion, example().rig) & match.good
+    error = (match.displacement - u)[keep]
     # Terms of the third order are left to the gradients, those of the fourth to nobody.
     assert np.sqrt((error**2).mean()) < 3e-6
 
@@ -156,10 +156,10 @@ def repeated():
         for cameras in ((0, 1, 2), (0, 1), (0, 2), (1, 2)):
             use = np.zeros_like(scene.seen)
             use[:, cameras] = keep[:, None]
-            found = Found(scene, views, _start(scene, motion), use=use)
-            assert found.good[keep].all()
-            error = found.displacement - motion(scene.point)
-            result.setdefault(cameras, []).append((error[keep], found.covariance[keep], found))
+            match = Found(scene, views, _start(scene, motion), use=use)
+            assert match.good[keep].all()
+            error = match.displacement - motion(scene.point)
+            result.setdefault(cameras, []).append((error[keep], match.covariance[keep], match))
     return result
 
 
@@ -189,13 +189,13 @@ def test_errors_beside_a_crease_are_as_large_as_claimed():
     squares, sides = [], []
     for seed in range(6):
         scene = _scene(noisy_views(still, NOISE, seed), stage)
-        found = Found(scene, noisy_views(moved, NOISE, 50 + seed), _start(scene, motion))
+        match = Found(scene, noisy_views(moved, NOISE, 50 + seed), _start(scene, motion))
         beside = np.abs(scene.point[:, 0]) < 2.0 * PITCH
-        keep = _whole(scene, motion, stage.rig) & found.good & beside
-        error = (found.displacement - motion(scene.point))[keep]
-        inverse = np.linalg.inv(found.covariance[keep])
+        keep = _whole(scene, motion, stage.rig) & match.good & beside
+        error = (match.displacement - motion(scene.point))[keep]
+        inverse = np.linalg.inv(match.covariance[keep])
         squares.append(np.einsum("ni,nij,nj->n", error, inverse, error) / 3.0)
-        sides.append(error[:, 1] ** 2 / found.covariance[keep, 1, 1])
+        sides.append(error[:, 1] ** 2 / match.covariance[keep, 1, 1])
     assert len(np.concatenate(squares)) > 50
     assert np.sqrt(np.concatenate(squares).mean()) == pytest.approx(1.0, abs=0.15)
     assert np.sqrt(np.concatenate(sides).mean()) == pytest.approx(1.0, abs=0.2)
@@ -251,20 +251,20 @@ def test_three_cameras_beat_the_best_pair_by_the_bound(repeated):
 
 def test_noise_left_over_is_that_of_the_pixels_and_white(repeated):
     for cameras, draws in repeated.items():
-        for _, _, found in draws[:2]:
-            left = found.residual_variance[found.good][:, cameras]
+        for _, _, match in draws[:2]:
+            left = match.residual_variance[match.good][:, cameras]
             np.testing.assert_allclose(left.mean(axis=0), 2.0 * NOISE**2, rtol=0.03)
             # From 18 or 27 blocks a window; the correction for so few overdoes it by up to a third.
-            assert 0.9 < found.variance_ratio[found.good].mean() < 1.4
+            assert 0.9 < match.variance_ratio[match.good].mean() < 1.4
             other = [c for c in range(3) if c not in cameras]
-            assert np.isnan(found.score[:, other]).all()
-            assert np.isnan(found.own_step[:, other]).all()
+            assert np.isnan(match.score[:, other]).all()
+            assert np.isnan(match.own_step[:, other]).all()
 
 
 def test_what_each_camera_alone_would_add_is_as_large_as_claimed(repeated):
     """Where one of three cameras has a third of the say, it keeps two thirds of its own error."""
-    found = repeated[(0, 1, 2)][0][2]
-    ratio = found.own_step[found.good] ** 2 / found.own_variance[found.good][..., None]
+    match = repeated[(0, 1, 2)][0][2]
+    ratio = match.own_step[match.good] ** 2 / match.own_variance[match.good][..., None]
     assert 0.2 < ratio.mean() < 1.0
 
 
@@ -280,8 +280,8 @@ def test_a_camera_that_slipped_is_identified_by_what_it_alone_would_add(still):
     matrix[:2, 2] += slip
     cameras = (rig.cameras[0], replace(camera, matrix=matrix), rig.cameras[2])
     views[1] = Stage(replace(rig, cameras=cameras), example().height, 3).views(motion)[1]
-    found = Found(still, views, _start(still, motion))
-    keep = _whole(still, motion, rig) & plain.good & found.good
+    match = Found(still, views, _start(still, motion))
+    keep = _whole(still, motion, rig) & plain.good & match.good
     slope = np.stack([project_jacobian(c, still.point[keep])[1] for c in rig.cameras])
     # Cameras of equal weight: u = (sum J^T J)^-1 sum J^T d.
     word = np.zeros((3, keep.sum(), 2))
@@ -289,10 +289,10 @@ def test_a_camera_that_slipped_is_identified_by_what_it_alone_would_add(still):
     matrix = np.einsum("cnai,cnaj->nij", slope, slope)
     mean = np.linalg.solve(matrix, np.einsum("cnai,cna->ni", slope, word)[..., None])[..., 0]
     expected = word - np.einsum("cnai,ni->cna", slope, mean)
-    own = np.moveaxis(found.own_step[keep], 1, 0)
+    own_step = np.moveaxis(match.own_step[keep], 1, 0)
     # Textures weigh the directions, by a quarter or so.
-    assert np.sqrt(((own - expected) ** 2).mean()) < 0.25 * np.sqrt((expected**2).mean())
-    shift = (found.displacement - plain.displacement)[keep]
+    assert np.sqrt(((own_step - expected) ** 2).mean()) < 0.25 * np.sqrt((expected**2).mean())
+    shift = (match.displacement - plain.displacement)[keep]
     assert np.sqrt(((shift - mean) ** 2).mean()) < 0.25 * np.sqrt((mean**2).mean())
 
 
@@ -324,9 +324,9 @@ def test_a_shadow_s_edge_moves_nothing():
     start = _start(scene, MOTIONS["still"])
     drawn = {}
     for spread in (0.0, 0.8**2):
-        found = Found(replace(scene, blur_variance=np.full(3, spread)), later, start, shading=True)
-        assert found.good.mean() > 0.7  # the others lie where no window has room
-        drawn[spread] = found.displacement[found.good, 0].mean() / PITCH
+        match = Found(replace(scene, blur_variance=np.full(3, spread)), later, start, shading=True)
+        assert match.good.mean() > 0.7  # the others lie where no window has room
+        drawn[spread] = match.displacement[match.good, 0].mean() / PITCH
     assert drawn[0.0] == pytest.approx(0.8**2 * 0.01, rel=0.1)
     # Light that falls by a tenth over a window is not quite linear.
     assert abs(drawn[0.8**2]) < 0.05 * drawn[0.0]
@@ -370,12 +370,12 @@ def test_frame_of_the_object_does_not_matter(still):
     np.testing.assert_array_equal(other.pixel, still.pixel)
     start = _start(still, MOTIONS["turn"])
     plain = Found(still, example_views("turn"), start)
-    found = Found(other, example_views("turn"), start @ turn.T)
-    np.testing.assert_array_equal(found.outcome, plain.outcome)
+    match = Found(other, example_views("turn"), start @ turn.T)
+    np.testing.assert_array_equal(match.outcome, plain.outcome)
     good = plain.good
     expected = plain.displacement[good] @ turn.T
     size = np.linalg.norm(expected, axis=1).mean()
-    gap = np.abs(found.displacement[good] - expected)
+    gap = np.abs(match.displacement[good] - expected)
     # The median to a millionth of the motion; a step more or less is the tolerance squared.
     assert np.median(gap) < 2e-6 * size
     assert gap.max() < 1e-4 * size
@@ -395,11 +395,11 @@ def test_lengths_in_another_unit_are_lengths_in_another_unit(still):
     half = make_scene(rig, example_views("still"), 0.5 * vertices, triangles, **PLAIN)
     start = _start(still, MOTIONS["strain"])
     plain = Found(still, example_views("strain"), start)
-    found = Found(half, example_views("strain"), 0.5 * start)
-    np.testing.assert_array_equal(found.outcome, plain.outcome)
+    match = Found(half, example_views("strain"), 0.5 * start)
+    np.testing.assert_array_equal(match.outcome, plain.outcome)
     # A factor of two is exact in binary.
-    np.testing.assert_allclose(found.displacement, 0.5 * plain.displacement, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(found.covariance, 0.25 * plain.covariance, rtol=1e-9, atol=1e-25)
+    np.testing.assert_allclose(match.displacement, 0.5 * plain.displacement, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(match.covariance, 0.25 * plain.covariance, rtol=1e-9, atol=1e-25)
 
 
 def test_each_reason_for_nothing(still):
@@ -411,23 +411,23 @@ def test_each_reason_for_nothing(still):
     use[good[0]] = [False, True, False]
     start[good[1], 2, 1] = np.nan
     start[good[2], 0] += [3e-3, 0.0, 0.0]
-    found = Found(still, views, start, use=use)
-    assert found.outcome[good].tolist() == [
+    match = Found(still, views, start, use=use)
+    assert match.outcome[good].tolist() == [
         Outcome.HIDDEN, Outcome.LOST, Outcome.LOST, *[Outcome.VALID] * 5
     ]  # fmt: skip
-    lost = ~found.good
+    lost = ~match.good
     for value in (
-        found.motion,
-        found.covariance,
-        found.score,
-        found.residual_variance,
-        found.own_step,
-        found.variance_ratio,
+        match.motion,
+        match.covariance,
+        match.score,
+        match.residual_variance,
+        match.own_step,
+        match.variance_ratio,
     ):
         assert np.isnan(value[lost].reshape(lost.sum(), -1)).all()
-    assert np.isfinite(found.motion[found.good]).all()
-    one = Found(still, views, start, iterations=1)
-    assert not one.good.any()
+    assert np.isfinite(match.motion[match.good]).all()
+    stopped = Found(still, views, start, iterations=1)
+    assert not stopped.good.any()
     away = Found(still, views, _start(still, motion), reach=0.05)
     assert away.good.mean() < 0.02
     assert (away.outcome[good] == Outcome.LOST).any()
@@ -436,16 +436,16 @@ def test_each_reason_for_nothing(still):
 @pytest.mark.parametrize("shift", [(1e-3, 5e-4, 0.0), (-2e-3, -1e-3, 0.0)])
 def test_windows_that_leave_a_picture_are_outside(still, shift):
     motion = rigid((0.0, 0.0, 0.03), shift)
-    found = Found(still, example().views(motion), _start(still, motion))
+    match = Found(still, example().views(motion), _start(still, motion))
     after = np.stack(
         [projected(c, still.point + motion(still.point)) for c in example().rig.cameras]
     )
     rows, columns = SHAPE
     room = np.minimum(after, np.array([columns - 1.0, rows - 1.0]) - after).min(axis=2).T
-    used = np.isfinite(found.score)
+    used = np.isfinite(match.score)
     # Half a window, turned by 2 degrees, less the pixel that a mirror image makes up for.
     assert room[used].min() > 9.0
-    left = found.outcome == Outcome.OUTSIDE
+    left = match.outcome == Outcome.OUTSIDE
     assert left.sum() > 5
     assert (room[left].min(axis=1) < 11.0).all()
 
@@ -453,9 +453,9 @@ def test_windows_that_leave_a_picture_are_outside(still, shift):
 def test_a_picture_without_texture_at_rest_is_rejected():
     flat = [np.full_like(view, 90.0) for view in example_views("still")]
     scene = _scene(flat)
-    found = Found(scene, example_views("still"), np.zeros((len(scene.point), 6, 3)))
+    match = Found(scene, example_views("still"), np.zeros((len(scene.point), 6, 3)))
     # The sums of squares vanish: no camera has anything to say.
-    assert np.isin(found.outcome, (Outcome.TEXTURE, Outcome.HIDDEN)).all()
+    assert np.isin(match.outcome, (Outcome.TEXTURE, Outcome.HIDDEN)).all()
 
 
 def test_stripes_say_nothing_along_them():
@@ -465,11 +465,11 @@ def test_stripes_say_nothing_along_them():
         100.0 + 50.0 * np.sin(example().rest_points(camera, grid, MOTIONS["still"])[:, 0] / 5e-4)
         for camera in example().rig.cameras
     ]
-    stripes = [one.reshape(SHAPE).astype(np.float32) for one in stripes]
+    stripes = [stripe.reshape(SHAPE).astype(np.float32) for stripe in stripes]
     scene = _scene(stripes)
-    found = Found(scene, stripes, np.zeros((len(scene.point), 6, 3)))
-    assert np.isin(found.outcome, range(5)).all()
-    sigma = np.sqrt(np.einsum("nii->ni", found.covariance[found.good]))
+    match = Found(scene, stripes, np.zeros((len(scene.point), 6, 3)))
+    assert np.isin(match.outcome, range(5)).all()
+    sigma = np.sqrt(np.einsum("nii->ni", match.covariance[match.good]))
     assert not (sigma[:, 1] < 0.1 * PITCH).any()
     assert (sigma[:, 1] > 10.0 * sigma[:, 0]).all()
 
@@ -478,11 +478,11 @@ def test_stripes_say_nothing_along_them():
 def test_two_cameras_and_four(count):
     motion = MOTIONS["strain"]
     scene = _scene(example_views("still", count), example(count))
-    found = Found(scene, example_views("strain", count), _start(scene, motion))
+    match = Found(scene, example_views("strain", count), _start(scene, motion))
     keep = _whole(scene, motion, example(count).rig)
     assert keep.sum() > 200
-    assert found.good[keep].all()
-    error = (found.displacement - motion(scene.point))[keep]
+    assert match.good[keep].all()
+    error = (match.displacement - motion(scene.point))[keep]
     # As with three, and twice worse across the pair's plane.
     assert np.sqrt((error**2).mean(axis=0)).max() < 0.01 * PITCH
 

@@ -111,9 +111,9 @@ def test_pixels_near_an_outline_are_not_interior():
         corner = projected(camera, vertices)
         row, column = np.nonzero(interior)
         low, high = corner.min(axis=0), corner.max(axis=0)
-        kept = np.stack([column, row], axis=1)
-        assert (kept > low + 1.0).all()
-        assert (kept < high - 1.0).all()
+        pixel = np.stack([column, row], axis=1)
+        assert (pixel > low + 1.0).all()
+        assert (pixel < high - 1.0).all()
         # A square turned by up to 3 degrees: no more than the rim is lost.
         assert interior.sum() > 0.85 * (np.prod(high - low - 5.0) - 0.1 * np.prod(high - low))
     inside = interior_distance(scene)

@@ -62,8 +62,10 @@ class Window:
         illumination = [np.ones_like(self.grey), self.grey]
         if shading:
             # Illumination that varies is blurred with the picture: x times it, and its derivative.
-            for place, slope in zip((xi, eta), slopes, strict=True):
-                illumination.append(self.grey * place[self.kept] + BLUR_VARIANCE / HALF * slope)
+            for coordinate, slope in zip((xi, eta), slopes, strict=True):
+                illumination.append(
+                    self.grey * coordinate[self.kept] + BLUR_VARIANCE / HALF * slope
+                )
         self.illumination = np.stack(illumination, axis=1)
         unknowns = 2 * len(self.basis)
         self.sums = np.full((unknowns, 4), np.nan)
@@ -97,15 +99,19 @@ class Window:
 
 @pytest.mark.parametrize("kind", ["whole", "masked"])
 def test_a_window_is_loaded_about_its_mean_and_zero_outside(kind):
-    one = Window(kind, "affine")
-    assert one.count == one.weight.sum()
-    np.testing.assert_allclose(one.mean, one.grey.mean(), rtol=1e-6)
-    np.testing.assert_allclose(one.square, ((one.grey - one.grey.mean()) ** 2).sum(), rtol=1e-5)
-    kept = one.kept
-    np.testing.assert_allclose(one.window[0][kept], one.grey - one.grey.mean(), atol=1e-4)
-    np.testing.assert_array_equal(one.window[1][kept], one.slopes[0].astype(np.float32))
-    np.testing.assert_array_equal(one.window[2][kept], one.slopes[1].astype(np.float32))
-    assert not one.window[:3, ~kept].any()
+    window = Window(kind, "affine")
+    assert window.count == window.weight.sum()
+    np.testing.assert_allclose(window.mean, window.grey.mean(), rtol=1e-6)
+    np.testing.assert_allclose(
+        window.square, ((window.grey - window.grey.mean()) ** 2).sum(), rtol=1e-5
+    )
+    inside = window.kept
+    np.testing.assert_allclose(
+        window.window[0][inside], window.grey - window.grey.mean(), atol=1e-4
+    )
+    np.testing.assert_array_equal(window.window[1][inside], window.slopes[0].astype(np.float32))
+    np.testing.assert_array_equal(window.window[2][inside], window.slopes[1].astype(np.float32))
+    assert not window.window[:3, ~inside].any()
 
 
 WINDOWS = [
@@ -117,79 +123,79 @@ WINDOWS = [
 
 
 def test_planes_of_the_illumination_are_orthonormal_and_span_a_linear_gain():
-    one = Window("masked", "affine", shading=True)
-    planes = one.window[[4, 5]]
+    window = Window("masked", "affine", shading=True)
+    planes = window.window[[4, 5]]
     np.testing.assert_allclose(planes @ planes.T, np.eye(2), atol=1e-6)
-    known = np.stack([one.window[3], one.window[0] / np.sqrt(one.square)])
+    known = np.stack([window.window[3], window.window[0] / np.sqrt(window.square)])
     np.testing.assert_allclose(planes @ known.T, 0.0, atol=2e-5)
-    assert not planes[:, ~one.kept].any()
+    assert not planes[:, ~window.kept].any()
     # Nothing of them is left once grey and the two linear gains are taken out.
-    left = one.without_illumination(planes[:, one.kept].T.astype(float))
+    left = window.without_illumination(planes[:, window.kept].T.astype(float))
     np.testing.assert_allclose(left, 0.0, atol=1e-5)
     assert not Window("masked", "affine").window[4:].any()
 
 
 @pytest.mark.parametrize(("kind", "shape", "shading"), WINDOWS)
 def test_the_matrix_is_that_of_least_squares_without_illumination(kind, shape, shading):
-    one = Window(kind, shape, shading=shading)
-    rest = one.without_illumination(one.columns)
+    window = Window(kind, shape, shading=shading)
+    rest = window.without_illumination(window.columns)
     expected = rest.T @ rest
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    np.testing.assert_allclose(one.hessian / scale, expected / scale, **CLOSE)
+    np.testing.assert_allclose(window.hessian / scale, expected / scale, **CLOSE)
 
 
-def _later(one, seed=3):
+def _later(window, seed=3):
     """A later window: another gain and offset, noise, and wild outside the mask."""
     sampled = np.full(PIXELS, 200.0, dtype=np.float32)
-    noise = np.random.default_rng(seed).normal(0.0, 5.0, len(one.grey))
-    sampled[one.kept] = 0.7 * one.grey + 40.0 + noise
+    noise = np.random.default_rng(seed).normal(0.0, 5.0, len(window.grey))
+    sampled[window.kept] = 0.7 * window.grey + 40.0 + noise
     return sampled
 
 
 @pytest.mark.parametrize(("kind", "shape", "shading"), WINDOWS)
 def test_right_hand_side_gain_and_rest_are_those_of_least_squares(kind, shape, shading):
-    one = Window(kind, shape, shading=shading)
-    sampled = _later(one)
-    right, gain, illumination, _ = one.right(sampled)
-    value = sampled[one.kept].astype(float)
-    slope = np.polyfit(one.grey, value, 1)[0]
-    rest = one.without_illumination(value)
+    window = Window(kind, shape, shading=shading)
+    sampled = _later(window)
+    right, gain, illumination, _ = window.right(sampled)
+    value = sampled[window.kept].astype(float)
+    slope = np.polyfit(window.grey, value, 1)[0]
+    rest = window.without_illumination(value)
     np.testing.assert_allclose(gain, slope, rtol=1e-5)
     np.testing.assert_allclose(illumination[1], gain)
-    np.testing.assert_allclose(illumination[0], value.mean() - one.mean, rtol=1e-4)
+    np.testing.assert_allclose(illumination[0], value.mean() - window.mean, rtol=1e-4)
     np.testing.assert_allclose(illumination[4], (rest**2).sum() / slope**2, rtol=1e-4)
-    expected = one.columns.T @ rest / slope
-    size = np.linalg.norm(one.columns, axis=0) * np.linalg.norm(rest)
+    expected = window.columns.T @ rest / slope
+    size = np.linalg.norm(window.columns, axis=0) * np.linalg.norm(rest)
     np.testing.assert_allclose(right / size, expected / size, **CLOSE)
 
 
 @pytest.mark.parametrize("kind", ["whole", "masked"])
 @pytest.mark.parametrize("shading", [False, True])
 def test_a_change_of_illumination_leaves_nothing(kind, shading):
-    one = Window(kind, "quadratic", shading=shading)
-    weights = np.array([-30.0, 1.6, 0.3, -0.2])[: one.illumination.shape[1]]
+    window = Window(kind, "quadratic", shading=shading)
+    weights = np.array([-30.0, 1.6, 0.3, -0.2])[: window.illumination.shape[1]]
     sampled = np.zeros(PIXELS, dtype=np.float32)
-    sampled[one.kept] = one.illumination @ weights
-    right, _, illumination, blocks = one.right(sampled)
+    sampled[window.kept] = window.illumination @ weights
+    right, _, illumination, blocks = window.right(sampled)
     # Rounding of single precision, of the square of what was taken away.
-    assert illumination[4] < 1e-5 * one.square
-    size = np.linalg.norm(one.columns, axis=0) * np.sqrt(one.square)
+    assert illumination[4] < 1e-5 * window.square
+    size = np.linalg.norm(window.columns, axis=0) * np.sqrt(window.square)
     assert np.abs(right / size).max() < 1e-5
     np.testing.assert_allclose(blocks / size, 0.0, atol=1e-5)
 
 
 def test_a_linear_gain_is_left_where_it_is_not_allowed():
-    one = Window("whole", "affine")
+    window = Window("whole", "affine")
     sampled = np.zeros(PIXELS, dtype=np.float32)
     xi = np.tile(np.arange(-HALF, HALF + 1) / HALF, SIDE)
-    sampled[one.kept] = one.grey * (1.0 + 0.3 * xi)
-    assert one.right(sampled)[2][4] > 0.01 * one.square
+    sampled[window.kept] = window.grey * (1.0 + 0.3 * xi)
+    assert window.right(sampled)[2][4] > 0.01 * window.square
 
 
 def test_a_negative_picture_has_no_gain():
-    one = Window("whole", "affine")
-    sampled = (200.0 - one.grey).astype(np.float32)
-    _, gain, illumination, _ = one.right(sampled)
+    window = Window("whole", "affine")
+    sampled = (200.0 - window.grey).astype(np.float32)
+    _, gain, illumination, _ = window.right(sampled)
     assert gain == 0.0
     assert illumination[4] == np.inf
 
@@ -197,32 +203,32 @@ def test_a_negative_picture_has_no_gain():
 @pytest.mark.parametrize(("kind", "shape", "shading"), WINDOWS)
 def test_blocks_are_the_sums_of_their_pixels(kind, shape, shading):
     """Nine cells, each with its pixels' share in gradient times what is left."""
-    one = Window(kind, shape, shading=shading)
-    sampled = _later(one, 4)
-    right, gain, _, found = one.right(sampled)
-    rest = one.without_illumination(sampled[one.kept].astype(float)) / gain
-    row, column = np.divmod(np.flatnonzero(one.kept), SIDE)
+    window = Window(kind, shape, shading=shading)
+    sampled = _later(window, 4)
+    right, gain, _, sums = window.right(sampled)
+    rest = window.without_illumination(sampled[window.kept].astype(float)) / gain
+    row, column = np.divmod(np.flatnonzero(window.kept), SIDE)
     cell = (row * 3 // SIDE) * 3 + column * 3 // SIDE
-    expected = np.stack([(one.columns * rest[:, None])[cell == k].sum(axis=0) for k in range(9)])
-    size = np.linalg.norm(one.columns, axis=0) * np.linalg.norm(rest)
-    np.testing.assert_allclose(found / size, expected / size, **CLOSE)
+    expected = np.stack([(window.columns * rest[:, None])[cell == k].sum(axis=0) for k in range(9)])
+    size = np.linalg.norm(window.columns, axis=0) * np.linalg.norm(rest)
+    np.testing.assert_allclose(sums / size, expected / size, **CLOSE)
     # Together they are the right-hand side.
-    np.testing.assert_allclose(found.sum(axis=0) / size, right / size, **CLOSE)
+    np.testing.assert_allclose(sums.sum(axis=0) / size, right / size, **CLOSE)
 
 
 @pytest.mark.parametrize(("kind", "shape", "shading"), WINDOWS)
 def test_a_step_of_least_squares_leaves_no_right_hand_side(kind, shape, shading):
     """To first order the picture changes by its gradient times the step."""
-    one = Window(kind, shape, shading=shading)
-    sampled, illumination = _later(one, 5), np.full(4, np.nan)
-    right, again = np.full((2, len(one.hessian)), np.nan)
-    state = one.count, one.mean, one.square, one.sums
-    gain = window_right_kernel(one.window, one.basis, sampled, *state, right, illumination)
-    step = np.linalg.solve(one.hessian, right)
-    window_advance_kernel(one.window, one.basis, gain * step, sampled)
-    state = one.count, 0.0, one.square, one.sums
-    window_right_kernel(one.window, one.basis, sampled, *state, again, illumination)
+    window = Window(kind, shape, shading=shading)
+    sampled, illumination = _later(window, 5), np.full(4, np.nan)
+    right, again = np.full((2, len(window.hessian)), np.nan)
+    state = window.count, window.mean, window.square, window.sums
+    gain = window_right_kernel(window.window, window.basis, sampled, *state, right, illumination)
+    step = np.linalg.solve(window.hessian, right)
+    window_advance_kernel(window.window, window.basis, gain * step, sampled)
+    state = window.count, 0.0, window.square, window.sums
+    window_right_kernel(window.window, window.basis, sampled, *state, again, illumination)
     # Single precision, beside the sum of squares of the window.
-    size = np.linalg.norm(one.columns, axis=0) * np.sqrt(one.square)
+    size = np.linalg.norm(window.columns, axis=0) * np.sqrt(window.square)
     np.testing.assert_allclose(again / size, 0.0, atol=1e-6)
     assert np.abs(right / size).max() > 1e-3

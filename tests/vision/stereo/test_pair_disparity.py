@@ -25,8 +25,8 @@ def _pair(count: int, lens: tuple[float, ...], roll: float = 0.0):
 
 
 def _truth(stage, pixel, other):
-    def match(place):
-        space = stage.points(stage.rest_points(stage.rig.cameras[0], place, STILL))
+    def match(first_pixel):
+        space = stage.points(stage.rest_points(stage.rig.cameras[0], first_pixel, STILL))
         return projected(stage.rig.cameras[other], space)
 
     gradient = np.stack([match(pixel + step) - match(pixel - step) for step in np.eye(2)], axis=2)
@@ -42,14 +42,14 @@ def test_matches_and_gradients_are_near_the_truth(count, lens, other):
     stage, pictures = _pair(count, lens)
     start, start_gradient = stereo_start(pictures, other, PIXEL, half=10)
     displacement, gradient = _truth(stage, PIXEL, other)
-    found = np.isfinite(start).all(axis=1)
-    assert found.mean() > 0.95
-    gap = np.linalg.norm(start - displacement, axis=1)[found]
+    matched = np.isfinite(start).all(axis=1)
+    assert matched.mean() > 0.95
+    gap = np.linalg.norm(start - displacement, axis=1)[matched]
     # Half a pixel is what the refinement is promised.
     assert np.percentile(gap, 95.0) < 0.5
     # Views 20 degrees apart, of a dome: gradients up to 0.3 that differ by 0.2 over the picture; of
     # whole disparities, half a pixel over ten.
-    off = np.abs(start_gradient - gradient)[found]
+    off = np.abs(start_gradient - gradient)[matched]
     assert np.median(off) < 0.02
     assert np.percentile(off, 95.0) < 0.08
 
@@ -59,9 +59,9 @@ def test_rows_that_differ_are_corrected_from_features():
     stage, pictures = _pair(2, (), roll=np.radians(2.0))
     start, _ = stereo_start(pictures, 1, PIXEL, half=10)
     displacement, _ = _truth(stage, PIXEL, 1)
-    found = np.isfinite(start).all(axis=1)
-    assert found.mean() > 0.9
-    gap = np.linalg.norm(start - displacement, axis=1)[found]
+    matched = np.isfinite(start).all(axis=1)
+    assert matched.mean() > 0.9
+    gap = np.linalg.norm(start - displacement, axis=1)[matched]
     assert np.percentile(gap, 90.0) < 1.0
 
 

@@ -156,8 +156,8 @@ def test_matches_by_chance_are_none():
     """Places at random agree on no geometry, however many there are."""
     rng = np.random.default_rng(3)
     rig = example(2).rig
-    place = rng.uniform(0.0, 150.0, size=(2, 300, 2))
-    chance = _consistent(rig.cameras[0], rig.cameras[1], _matches(place[0], place[1]))
+    pixel = rng.uniform(0.0, 150.0, size=(2, 300, 2))
+    chance = _consistent(rig.cameras[0], rig.cameras[1], _matches(pixel[0], pixel[1]))
     assert len(chance.point) == 0
 
 

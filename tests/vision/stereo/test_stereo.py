@@ -129,9 +129,9 @@ def test_a_camera_that_shows_something_else_drops_out():
     np.testing.assert_array_equal(_stereo(rig, blank).point, two.point)
     # Another texture, matched by chance nowhere that the neighbours would confirm.
     strange = [*views[:2], np.ascontiguousarray(views[2][::-1, ::-1])]
-    kept = _stereo(rig, strange)
-    height, _ = _above(kept)
-    assert len(kept.pixel) >= 0.98 * len(two.pixel)
+    remaining = _stereo(rig, strange)
+    height, _ = _above(remaining)
+    assert len(remaining.pixel) >= 0.98 * len(two.pixel)
     assert np.sqrt(np.mean(height**2)) < 2e-5
 
 
@@ -140,11 +140,11 @@ def test_a_point_that_one_camera_matches_is_valid_whatever_the_others_say():
     rig, views = example(3).rig, _views(3)
     views[2] = views[2].copy()
     views[2][:, SHAPE[1] // 2 :] = 80.0
-    found = stereo_matches(prepare_pictures(rig, views))
-    matched = np.isfinite(found.pixels[1:]).all(axis=2)
+    matches = stereo_matches(prepare_pictures(rig, views))
+    matched = np.isfinite(matches.pixels[1:]).all(axis=2)
     assert (matched[0] & ~matched[1]).sum() > 100
     assert (~matched.any(axis=0)).any()
-    np.testing.assert_array_equal(found.outcome == Outcome.VALID, matched.any(axis=0))
+    np.testing.assert_array_equal(matches.outcome == Outcome.VALID, matched.any(axis=0))
 
 
 def test_a_wrong_match_of_one_camera_is_left_out():
@@ -303,9 +303,9 @@ def test_matches_of_another_program_on_a_real_specimen(shared_data):
     assert len(left) > 12
     seen = project(rig.cameras[1], stereo.point)
     error = []
-    for pixel, place, rows in zip(left, right, near, strict=True):
+    for pixel, partner, rows in zip(left, right, near, strict=True):
         plane = np.column_stack([np.ones(9), stereo.pixel[rows] - pixel])
-        error.append(np.linalg.lstsq(plane, seen[rows], rcond=None)[0][0] - place)
+        error.append(np.linalg.lstsq(plane, seen[rows], rcond=None)[0][0] - partner)
     # Along the rows, which are nearly the epipolar lines, the two programs' noise; across, half of
     # the 0.1 px by which this calibration misses.
     assert np.median(np.abs(error), axis=0)[0] < 0.015
@@ -354,11 +354,11 @@ def test_the_pose_is_found_among_background() -> None:
     rng = np.random.default_rng(4)
     table = np.column_stack([rng.uniform(-0.2, 0.2, (400, 2)), np.full(400, -0.08)])
     surface = _in_view(mesh)
-    found = register_object(make_rig(), _stereo_points(_moved_back(np.vstack([surface, table]))),
-                            smooth_surface(mesh))  # fmt: skip
-    assert found is not None
+    points = _stereo_points(_moved_back(np.vstack([surface, table])))
+    registration = register_object(make_rig(), points, smooth_surface(mesh))
+    assert registration is not None
     # The points are those of the surface itself, to rounding; the search ends at 1e-6 m or better.
-    np.testing.assert_allclose(found.T_mesh_points, POSE, atol=2e-6)
+    np.testing.assert_allclose(registration.T_mesh_points, POSE, atol=2e-6)
 
 
 def test_too_few_points_have_no_pose() -> None:
@@ -370,10 +370,10 @@ def test_too_few_points_have_no_pose() -> None:
 def test_the_rig_in_the_frame_of_the_mesh_sees_the_same() -> None:
     rig, mesh = make_rig(), _bumpy()
     points = _moved_back(_in_view(mesh))
-    found = register_object(rig, _stereo_points(points), smooth_surface(mesh))
-    assert found is not None
-    there = object_frame(rig, found)
-    in_mesh = points @ found.T_mesh_points[:3, :3].T + found.T_mesh_points[:3, 3]
+    registration = register_object(rig, _stereo_points(points), smooth_surface(mesh))
+    assert registration is not None
+    there = object_frame(rig, registration)
+    in_mesh = points @ registration.T_mesh_points[:3, :3].T + registration.T_mesh_points[:3, 3]
     for before, after in zip(rig.cameras, there.cameras, strict=True):
         assert project(after, in_mesh) == pytest.approx(project(before, points), abs=1e-7)
 
@@ -393,36 +393,36 @@ def test_the_camera_that_contradicts_the_others_is_left_out():
     rig, space, pixels, covariance = _seen_pixels()
     pixels[2, :9] += [0.4, 0.3]
     pixels[3, 20:24] = np.nan
-    found, used = triangulate_consistent(rig, pixels, covariance, reprojection=2.0)
+    triangulated, used = triangulate_consistent(rig, pixels, covariance, reprojection=2.0)
     assert not used[2, :9].any()
     assert used[[0, 1, 3], :9].all()
     assert not used[3, 20:24].any()
     assert used.sum() == 4 * 60 - 13
-    np.testing.assert_array_equal(found.cameras, used.sum(axis=0))
+    np.testing.assert_array_equal(triangulated.cameras, used.sum(axis=0))
     # A hundredth of a pixel of 0.3 mm, at 20 degrees.
-    assert np.abs(found.point - space).max() < 6e-5
+    assert np.abs(triangulated.point - space).max() < 6e-5
 
 
 def test_two_cameras_that_contradict_each_other_are_both_left_out():
     rig, _, pixels, covariance = _seen_pixels(2)
     # Across the epipolar lines, which run along the rows.
     pixels[1, :5, 1] += 0.6
-    found, used = triangulate_consistent(rig, pixels, covariance, reprojection=2.0)
+    triangulated, used = triangulate_consistent(rig, pixels, covariance, reprojection=2.0)
     assert not used[:, :5].any()
     assert used[:, 5:].all()
-    assert np.isnan(found.point[:5]).all()
+    assert np.isnan(triangulated.point[:5]).all()
 
 
 def test_half_of_each_matchs_variance_is_the_references():
     """The joint point is that of triangulation with these shares; the reference has their mean."""
     rig, _, pixels, covariance = _seen_pixels()
     covariance *= np.array([np.nan, 1.0, 2.0, 3.0])[:, None, None, None]
-    found, used = triangulate_consistent(rig, pixels, covariance, reprojection=2.0)
+    triangulated, used = triangulate_consistent(rig, pixels, covariance, reprojection=2.0)
     assert used.all()
     covariance[0] = covariance[1:].mean(axis=0)
     expected = triangulate(rig, pixels, 0.5 * covariance)
-    np.testing.assert_allclose(found.point, expected.point, rtol=0, atol=1e-15)
-    np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-12)
+    np.testing.assert_allclose(triangulated.point, expected.point, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(triangulated.covariance, expected.covariance, rtol=1e-12)
 
 
 def test_what_all_points_share_is_the_rig_and_only_limited():

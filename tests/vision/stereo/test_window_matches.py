@@ -46,10 +46,12 @@ def test_matches_are_as_good_as_they_claim():
     warp = affine(matrix, (4.3, -2.6), (65.0, 55.0))
     texture = Speckle(SHAPE, 1)
     truth = warp.displacement(POINTS)
-    found = _matched(noisy(texture.image(), noise, 1), noisy(texture.image(warp), noise, 2), truth)
-    assert (found.outcome == Outcome.VALID).all()
-    error = found.displacement - truth
-    whitened = np.linalg.solve(np.linalg.cholesky(found.covariance), error[..., None])[..., 0]
+    matches = _matched(
+        noisy(texture.image(), noise, 1), noisy(texture.image(warp), noise, 2), truth
+    )
+    assert (matches.outcome == Outcome.VALID).all()
+    error = matches.displacement - truth
+    whitened = np.linalg.solve(np.linalg.cholesky(matches.covariance), error[..., None])[..., 0]
     # Windows of 21 px at 5 px: some twelve independent ones with two coordinates each, and a bias
     # of 0.005 px that the covariance does not hold.
     assert 0.6 < np.sqrt(np.mean(whitened**2)) < 1.5
@@ -58,7 +60,7 @@ def test_matches_are_as_good_as_they_claim():
     length = np.linalg.norm(error, axis=1)
     usual = error[length <= np.quantile(length, 0.99)]
     assert np.sqrt(np.mean(usual**2)) < 0.035
-    np.testing.assert_allclose(found.gradient.mean(axis=0), matrix - np.eye(2), atol=1e-3)
+    np.testing.assert_allclose(matches.gradient.mean(axis=0), matrix - np.eye(2), atol=1e-3)
 
 
 def test_a_window_across_an_edge_is_left_for_a_smaller_one():
@@ -67,10 +69,10 @@ def test_a_window_across_an_edge_is_left_for_a_smaller_one():
     right = pixel_grid(SHAPE)[..., 0] > 65.0
     still, moved = texture.image(), texture.image(affine(np.eye(2), (2.0, 0.0), (0.0, 0.0)))
     truth = np.where(POINTS[:, :1] > 65.0, [[2.0, 0.0]], [[0.0, 0.0]])
-    found = _matched(noisy(still, 1.0, 1), noisy(np.where(right, moved, still), 1.0, 2), truth)
-    good = found.outcome == Outcome.VALID
+    matches = _matched(noisy(still, 1.0, 1), noisy(np.where(right, moved, still), 1.0, 2), truth)
+    good = matches.outcome == Outcome.VALID
     away = np.abs(POINTS[:, 0] - 65.0)
-    error = np.linalg.norm(found.displacement - truth, axis=1)
+    error = np.linalg.norm(matches.displacement - truth, axis=1)
     assert good[away > 13.0].all()
     # Of a match across the edge a good part of the two pixels would be left.
     assert error[away > 13.0].max() < 0.1
@@ -90,18 +92,18 @@ def test_every_failure_has_its_outcome():
     second[55:, :60] += np.random.default_rng(5).normal(0.0, 20.0, (55, 60)).astype(np.float32)
     truth = np.zeros_like(POINTS)
     truth[-1] = np.nan
-    found = _matched(first, second, truth)
-    assert found.outcome[-1] == Outcome.HIDDEN
+    matches = _matched(first, second, truth)
+    assert matches.outcome[-1] == Outcome.HIDDEN
     blank = (column < 38) & (row < 33)
-    assert np.isin(found.outcome[blank], [Outcome.TEXTURE, Outcome.LOST]).all()
+    assert np.isin(matches.outcome[blank], [Outcome.TEXTURE, Outcome.LOST]).all()
     other = (column > 101) & (row > 67)
-    assert (found.outcome[other] != Outcome.VALID).all()
+    assert (matches.outcome[other] != Outcome.VALID).all()
     rough = (column < 48) & (row > 67)
-    assert (found.outcome[rough] == Outcome.SCORE).all()
+    assert (matches.outcome[rough] == Outcome.SCORE).all()
     rest = (column > 62) & (row < 43)
-    assert (found.outcome[rest] == Outcome.VALID).all()
-    bad = found.outcome != Outcome.VALID
-    for values in (found.displacement, found.gradient, found.covariance):
+    assert (matches.outcome[rest] == Outcome.VALID).all()
+    bad = matches.outcome != Outcome.VALID
+    for values in (matches.displacement, matches.gradient, matches.covariance):
         np.testing.assert_array_equal(np.isnan(values).reshape(len(bad), -1).all(axis=1), bad)
 
 
@@ -111,8 +113,8 @@ def test_larger_windows_know_their_match_better():
     first, second = (noisy(texture.image(), 3.0, seed) for seed in (1, 2))
     sigma = []
     for subset in (MIN_WINDOW_PX, 27):
-        found = _matched(first, second, np.zeros_like(POINTS), subset=subset)
-        sigma.append(np.nanmedian(np.sqrt(found.covariance[:, 0, 0])))
+        matches = _matched(first, second, np.zeros_like(POINTS), subset=subset)
+        sigma.append(np.nanmedian(np.sqrt(matches.covariance[:, 0, 0])))
     assert 2.0 < sigma[0] / sigma[1] < 5.0
 
 
@@ -127,11 +129,11 @@ def _rejected(cell, pixel, displacement, gradient, valid, sigma=0.01):
     variance = np.broadcast_to(0.5 * sigma**2 * np.eye(2), (len(cell), 2, 2))
     outcome = np.where(valid, int(Outcome.VALID), int(Outcome.LOST))
     matches = WindowMatches(displacement, np.array(gradient), np.array(variance), outcome)
-    found = confirmed_matches(matches, cell, pixel)
-    wrong = found.outcome == Outcome.NEIGHBOURS
-    np.testing.assert_array_equal(found.outcome[~wrong], outcome[~wrong])
-    np.testing.assert_array_equal(np.isnan(found.displacement).all(axis=1), wrong)
-    np.testing.assert_array_equal(found.displacement[~wrong], displacement[~wrong])
+    confirmed = confirmed_matches(matches, cell, pixel)
+    wrong = confirmed.outcome == Outcome.NEIGHBOURS
+    np.testing.assert_array_equal(confirmed.outcome[~wrong], outcome[~wrong])
+    np.testing.assert_array_equal(np.isnan(confirmed.displacement).all(axis=1), wrong)
+    np.testing.assert_array_equal(confirmed.displacement[~wrong], displacement[~wrong])
     return wrong
 
 
@@ -430,10 +432,10 @@ def test_pictures_that_change_places_give_minus_the_motion(rest):
 
 def test_result_does_not_depend_on_the_start(rest, moved):
     truth = WARPS["shift"].displacement(PLANAR_POINTS)
-    one = _match(rest, moved["shift"], _start(truth, 1))
-    two = _match(rest, moved["shift"], _start(truth, 2))
+    first = _match(rest, moved["shift"], _start(truth, 1))
+    second = _match(rest, moved["shift"], _start(truth, 2))
     # The last step, 5e-4 px, is far longer than what is left after it.
-    np.testing.assert_allclose(one.displacement, two.displacement, atol=1e-4)
+    np.testing.assert_allclose(first.displacement, second.displacement, atol=1e-4)
 
 
 def test_windows_without_contrast_or_room_are_not_found(rest, moved):
@@ -485,10 +487,10 @@ def test_windows_that_come_into_the_picture_are_not_found(rest):
     """What lies beyond the edge at rest is not known, wherever it goes."""
     step = np.array([[2.0, 1.0]])
     second = TEXTURE.image(affine(np.eye(2), (2.0, 1.0), CENTRE))
-    for place in ([9.0, 95.0], [130.0, 9.0]):
-        assert not _match(rest, second, step, points=np.array([place])).converged.any()
-    for place in ([250.0, 95.0], [130.0, 180.0]):
-        assert not _match(second, rest, -step, points=np.array([place])).converged.any()
+    for pixel in ([9.0, 95.0], [130.0, 9.0]):
+        assert not _match(rest, second, step, points=np.array([pixel])).converged.any()
+    for pixel in ([250.0, 95.0], [130.0, 180.0]):
+        assert not _match(second, rest, -step, points=np.array([pixel])).converged.any()
     inside = np.array([[10.0, 95.0], [130.0, 10.0]])
     assert _match(rest, second, np.repeat(step, 2, axis=0), points=inside).converged.all()
 

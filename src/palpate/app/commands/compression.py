@@ -136,12 +136,13 @@ def _specimens(files: Sequence[Path], groups: Sequence[str] | None) -> list[str]
         return [str(file) for file in files]
     specimens = []
     for file in files:
-        of = [name for name in groups if name in file.name]
-        if len(of) != 1:
+        matching = [name for name in groups if name in file.name]
+        if len(matching) != 1:
             raise InputError(
-                f"{file}: its name holds {len(of)} of --group {' '.join(groups)}; must hold one"
+                f"{file}: its name holds {len(matching)} of --group {' '.join(groups)}; must"
+                " hold one"
             )
-        specimens += of
+        specimens += matching
     return specimens
 
 

@@ -166,8 +166,7 @@ def fit(
     bar_of = progress_bar(_shorter(strain, method))
     with result_folder(target, kind="fit", force=force) as folder, bar_of as bar:
         bar("reading", 0.0)
-        given = _read(session, probe, hold_out or [])
-        given = replace(given, smooth=surface == "smooth")
+        given = replace(_read(session, probe, hold_out or []), smooth=surface == "smooth")
         if time:
             require_series(given)
         record_inputs(folder, session_files(session))
@@ -192,8 +191,7 @@ def fit(
             progress=part_of(progress, fit_begins, _DRAWING_BEGINS),
         )
         progress("tables and pictures", _DRAWING_BEGINS)
-        choices = (surface, strain, pose, material)
-        command = _command(session, probe, hold_out, settings, choices)
+        command = _command(session, probe, hold_out, settings, (surface, strain, pose, material))
         result = _with_provenance(result, before, log, command)
         predictions = () if held is None else result.predict(held)
         write_held_out(folder, predictions)
@@ -279,7 +277,7 @@ def check(session: Path, /) -> int:
 def _precision(session: Session) -> dict[str, float] | None:
     """What the constants can be known to at best; None where displacements are still to be measured
     and where it would take minutes."""
-    unread = any(each.displacement is None for each in session.probings)
+    unread = any(probing.displacement is None for probing in session.probings)
     if unread or not session.probings or size_notes(session):
         return None
     with progress_bar() as progress:
@@ -349,7 +347,7 @@ def compile_kernels() -> int:
         progress("the list of fonts", 0.99)
         # The figures of a result need it; it takes seconds, once, too.
         import_module("matplotlib.font_manager")
-    compiled = sum(each.is_start for _, each in recorder.buffer)
+    compiled = sum(message.is_start for _, message in recorder.buffer)
     seconds = time.perf_counter() - start
     if compiled:
         print_text(f"{compiled} kernels compiled in {seconds:.0f} s: the first fit need not wait")
@@ -363,13 +361,13 @@ def _with_motion_measured(
 ) -> tuple[Session, int]:
     """The session with the motion of its pictures, which the result keeps, and the number of
     probings whose motion an earlier result held."""
-    kept = kept_motion(given, target, pose=pose)
+    known = kept_motion(given, target, pose=pose)
     motions = measure_pictures(
-        given, known=kept, pose=pose, progress=progress, parts=parts_folder(folder)
+        given, known=known, pose=pose, progress=progress, parts=parts_folder(folder)
     )
     if motions:
         keep_motion(folder, given, motions, pose=pose)
-    return with_motions(given, motions), len(kept)
+    return with_motions(given, motions), len(known)
 
 
 def _with_provenance(
@@ -415,7 +413,7 @@ def _print(
     predictions: Sequence[Prediction],
     sizes: Mapping[str, float],
 ) -> None:
-    """The tables, and what a reader must know besides."""
+    """Print the tables, and the notes that a reader must know."""
     if len(estimate.probes) > 0:
         print_tables(probes_table(estimate))
     print_tables(constants_table(estimate))

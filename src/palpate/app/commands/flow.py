@@ -186,17 +186,17 @@ def _rejections(session: Session, rig: Rig, motion: MeasuredMotion) -> tuple[Rej
     """Counts of a probing's lost vertices; empty for an earlier image, a step or a failure."""
     if motion.probing is None or not motion.last:
         return ()
-    one = tuple(probing for probing in session.probings if probing.name == motion.probing)
+    chosen = tuple(probing for probing in session.probings if probing.name == motion.probing)
     with suppress(InputError):
         measured = SessionFlow(rig, (motion,), ())
-        return rejections(with_measured_displacement(replace(session, probings=one), measured))
+        return rejections(with_measured_displacement(replace(session, probings=chosen), measured))
     return ()
 
 
 def _print_rejections(figures: Sequence[MotionFigures], counts: Sequence[Rejections]) -> None:
-    """Whether so many lost vertices are usual; nothing where a probing has none at all."""
+    """Print whether that many lost vertices are usual; nothing where a probing lost none."""
     probings = {f.probing for f in figures if f.probing is not None}
-    if len(counts) == len(probings) and any(each.lost for each in counts):
+    if len(counts) == len(probings) and any(rejected.lost for rejected in counts):
         print_text(rejection_note(counts))
 
 

@@ -296,7 +296,7 @@ def _closing_text(config: LabConfig, out: Path) -> str:
 
 
 def _choice_tables() -> list[Table]:
-    """What there is to choose from."""
+    """Tables of the experiments and benches to choose from."""
     ready = [
         (name, file.read_text(encoding="utf-8").splitlines()[0].lstrip("# "))
         for name, file in built_in().items()

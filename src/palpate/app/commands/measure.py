@@ -35,7 +35,7 @@ class _Terminal(Questions):
         return _asked(text, default=usual)
 
     def wait(self, text: str) -> None:
-        """Until Enter."""
+        """Wait until Enter is pressed."""
         _asked(f"{text}; then Enter", default="", show_default=False)
 
     def working(self) -> AbstractContextManager[Progress]:
@@ -66,7 +66,7 @@ def _person(name: str, *, terminal: bool, port: int | None) -> Iterator[Question
     if port is None and (terminal or not _has_browser()):
         yield _Terminal()
         return
-    page = Page(name, port=port, say=print_text)
+    page = Page(name, port=port, on_message=print_text)
     print_text(f"Open {page.address} in a browser", wrapped=False)
     try:
         yield page

@@ -161,11 +161,11 @@ def _table(next_probings: NextProbings) -> Table:
     for number, (k, after) in enumerate(
         zip(next_probings.chosen, next_probings.after, strict=True), start=1
     ):
-        place = ", ".join(f"{1e3 * x:.1f}" for x in next_probings.point[k])
+        position = ", ".join(f"{1e3 * x:.1f}" for x in next_probings.point[k])
         # What is rounded to zero has no sign.
         parts = np.round(next_probings.force * next_probings.inward[k], 12) + 0.0
         force = ", ".join(f"{x:.2g}" for x in parts)
-        rows.append((f"+ {number}", place, force, *expected(after)))
+        rows.append((f"+ {number}", position, force, *expected(after)))
     columns = ["pushes", "place mm", "force N", "sd nu", f"sd G {unit}", f"sd E {unit}"]
     caption = (
         f"best of {len(next_probings.point)} places; sd: standard deviations to expect with all"
@@ -189,7 +189,7 @@ def _cameras(plan: MeasurementPlan) -> Table:
 
 
 def _probings(plan: MeasurementPlan, young: float, poisson: float) -> Table:
-    """One row a probing, and one of all together."""
+    """One row for each probing, and one for all together."""
     factor, unit = modulus_unit(young)
     rows = [
         (
@@ -209,7 +209,8 @@ def _probings(plan: MeasurementPlan, young: float, poisson: float) -> Table:
 
 
 def _deviations(precision: dict[str, float], factor: float) -> tuple[str, str, str]:
-    """Those of nu, G and E, the moduli in a unit of `factor`; a dash: not determined."""
+    """Standard deviations of nu, G and E as text, moduli in a unit of `factor`; a dash
+    where one is not determined."""
     return (
         number_text(precision["poisson_ratio"], ".2g"),
         number_text(precision["shear_modulus"] / factor, ".2g"),

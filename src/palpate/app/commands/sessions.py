@@ -218,7 +218,7 @@ def _checked_radius(option: str, radius: float | None) -> float | None:
 
 
 def _choose(what: str, default: str, allowed: list[str], *, interactive: bool) -> str:
-    """What the person says, or what is most likely where nobody can be asked."""
+    """The person's answer, or the most likely one where nobody can be asked."""
     if not interactive or len(allowed) == 1:
         return default
     shown = {visible(word): word for word in allowed}

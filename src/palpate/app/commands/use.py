@@ -362,7 +362,7 @@ def _stress_table(inside: InteriorState) -> Table:
     factor, unit = modulus_unit(float(equivalent.max()))
     rows = []
     for k, (stress, mises) in enumerate(zip(inside.stress, equivalent, strict=True), start=1):
-        components = np.array([stress[place] for place in _COMPONENTS.values()]) / factor
+        components = np.array([stress[index] for index in _COMPONENTS.values()]) / factor
         rows.append((f"inside {k}", *_numbers(components).split(", "), f"{mises / factor:.3g}"))
     title = f"Stress inside ({unit}, tension positive)"
     return terminal_table(title, ("where", *_COMPONENTS, "von Mises"), rows)
@@ -377,7 +377,7 @@ def _numbers(vector: Sequence[float] | Float[np.ndarray, " n"]) -> str:
 
 
 def _serve(viewer: Viewer) -> None:
-    """Until somebody ends it."""
+    """Serve the page until somebody ends it."""
     print_text(f"Open {viewer.address} in a browser; Ctrl-C ends it", wrapped=False)
     try:
         while True:

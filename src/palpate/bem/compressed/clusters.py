@@ -77,16 +77,16 @@ def cluster_tree(
     centre, radius = [], []
     # The list grows within the loop: children are appended to all clusters found before.
     for start, stop in bounds:
-        own = order[start:stop]
-        low, high = position[own].min(axis=0), position[own].max(axis=0)
+        members = order[start:stop]
+        low, high = position[members].min(axis=0), position[members].max(axis=0)
         centre.append(0.5 * (low + high))
-        distance = np.linalg.norm(position[own] - centre[-1], axis=1)
-        radius.append(float((distance + item_radius[own]).max()))
+        distance = np.linalg.norm(position[members] - centre[-1], axis=1)
+        radius.append(float((distance + item_radius[members]).max()))
         if stop - start <= leaf_size:
             children.append((-1, -1))
             continue
-        along = position[own, int(np.argmax(high - low))]
-        order[start:stop] = own[np.argsort(along, kind="stable")]
+        along = position[members, int(np.argmax(high - low))]
+        order[start:stop] = members[np.argsort(along, kind="stable")]
         half = (stop - start) // 2
         middle = start + max(half // LANES, 1) * LANES if half > LANES else start + half
         children.append((len(bounds), len(bounds) + 1))
@@ -109,8 +109,8 @@ def far_clusters(tree: ClusterTree, far: list[Int[np.ndarray, " _"]]) -> Bool[np
     """
     is_far = np.zeros(len(tree.start), dtype=bool)
     is_far[np.concatenate([np.zeros(0, dtype=np.int64), *far])] = True
-    for one, children in enumerate(tree.children):
-        if is_far[one] and children[0] >= 0:
+    for cluster, children in enumerate(tree.children):
+        if is_far[cluster] and children[0] >= 0:
             is_far[children] = True
     return is_far
 
@@ -245,13 +245,13 @@ def fill_inverse_distances(first, second, out):
     out : (n, m) float            overwritten
     """
     x, y, z = second[0], second[1], second[2]
-    one = out.dtype.type(1.0)
+    unity = out.dtype.type(1.0)
     for i in range(first.shape[0]):
         a, b, c = first[i, 0], first[i, 1], first[i, 2]
         row = out[i]
         for j in range(x.size):
             square = (x[j] - a) ** 2 + (y[j] - b) ** 2 + (z[j] - c) ** 2
-            row[j] = one / np.sqrt(square)
+            row[j] = unity / np.sqrt(square)
 
 
 def interpolative_decomposition(

@@ -58,17 +58,17 @@ def make_skeletons(
     count = len(tree.start)
     skeleton = [np.zeros((0, 3))] * count
     interpolation = [np.zeros((0, 0))] * count
-    for one in range(count - 1, -1, -1):
-        children = tree.children[one]
+    for cluster in range(count - 1, -1, -1):
+        children = tree.children[cluster]
         if children[0] < 0:
-            candidates = points[tree.members(one)]
+            candidates = points[tree.members(cluster)]
         else:
             candidates = np.concatenate([skeleton[child] for child in children])
-        around = tree.centre[one] + tree.radius[one] * proxies
+        around = tree.centre[cluster] + tree.radius[cluster] * proxies
         chosen, weights = interpolative_decomposition(
             inverse_distances(candidates, around), tolerance
         )
-        skeleton[one], interpolation[one] = candidates[chosen], weights.astype(np.float32)
+        skeleton[cluster], interpolation[cluster] = candidates[chosen], weights.astype(np.float32)
     return skeleton, interpolation
 
 
@@ -219,9 +219,10 @@ class FarField:
         parents = np.array(sorted(self.child_to_parent), dtype=np.int64)
         # Clusters of one level do not depend on each other; the deepest level is first.
         for level in _levels(tree)[::-1]:
-            own = level[np.isin(level, parents)]
+            merged = level[np.isin(level, parents)]
             in_threads(
-                lambda begin, end, own=own: self._merge_children(own[begin:end], charges), own.size
+                lambda begin, end, merged=merged: self._merge_children(merged[begin:end], charges),
+                merged.size,
             )
         return charges
 
@@ -230,11 +231,13 @@ class FarField:
     ) -> None:
         """Charges of some clusters from those of their children."""
         tree = self.sources
-        for one in parents:
-            parts = tree.children[one]
-            shifted = [recentred(charges[k], tree.centre[one] - tree.centre[k]) for k in parts]
+        for cluster in parents:
+            parts = tree.children[cluster]
+            shifted = [recentred(charges[k], tree.centre[cluster] - tree.centre[k]) for k in parts]
             halves = np.concatenate(shifted).reshape(-1, 4 * charges.shape[3])
-            charges[one] = (self.child_to_parent[int(one)] @ halves).reshape(charges.shape[1:])
+            charges[cluster] = (self.child_to_parent[int(cluster)] @ halves).reshape(
+                charges.shape[1:]
+            )
 
     def _receive(
         self,
@@ -245,14 +248,14 @@ class FarField:
     ) -> None:
         """Values at the skeleton points of some clusters, due to the sources far from each."""
         tree, sphere = self.sources, self.sphere
-        for one in range(begin, end):
-            far, skeleton = self.far[one], self.skeleton[one]
+        for cluster in range(begin, end):
+            far, skeleton = self.far[cluster], self.skeleton[cluster]
             columns = charges.shape[3]
-            values[one] = np.zeros((len(skeleton), 4, columns), dtype=charges.dtype)
+            values[cluster] = np.zeros((len(skeleton), 4, columns), dtype=charges.dtype)
             if not far.size:
                 continue
             # Relative to the centre: in single precision, absolute positions would lose digits.
-            centre = self.receivers.centre[one]
+            centre = self.receivers.centre[cluster]
             shift = centre - tree.centre[far]
             charge_positions = tree.radius[far, None, None] * sphere.charge - shift[:, None]
             charge_positions = np.ascontiguousarray(
@@ -265,7 +268,7 @@ class FarField:
             kernel = np.empty((len(skeleton), charge_positions.shape[1]), dtype=np.float32)
             fill_inverse_distances(skeleton, charge_positions, kernel)
             products = kernel @ shifted.reshape(kernel.shape[1], -1)
-            values[one] = products.reshape(values[one].shape)
+            values[cluster] = products.reshape(values[cluster].shape)
 
     def _interpolated(
         self, values: list[Float[np.ndarray, "_ 4 _"]], columns: int
@@ -273,14 +276,14 @@ class FarField:
         """Values at all points, interpolated from the largest clusters down."""
         tree, interpolation = self.receivers, self.interpolation
         out = np.empty((len(self.offset), 3, columns), dtype=values[0].dtype)
-        for one, children in enumerate(tree.children):
-            weights = interpolation[one]
-            interpolated = (weights @ values[one].reshape(weights.shape[1], -1)).reshape(
+        for cluster, children in enumerate(tree.children):
+            weights = interpolation[cluster]
+            interpolated = (weights @ values[cluster].reshape(weights.shape[1], -1)).reshape(
                 -1, 4, columns
             )
-            values[one] = np.zeros((0, 4, 0))
+            values[cluster] = np.zeros((0, 4, 0))
             if children[0] < 0:
-                points = tree.members(one)
+                points = tree.members(cluster)
                 out[points] = (
                     interpolated[:, :3] + self.offset[points][:, :, None] * interpolated[:, 3:]
                 )
@@ -288,7 +291,7 @@ class FarField:
             first = 0
             for child in children:
                 last = first + interpolation[child].shape[1]
-                shift = tree.centre[child] - tree.centre[one]
+                shift = tree.centre[child] - tree.centre[cluster]
                 values[child] = values[child] + recentred(interpolated[first:last], shift)
                 first = last
         return out
@@ -332,13 +335,13 @@ def make_child_to_parent(
     child_to_parent: dict[int, np.ndarray] = {}
 
     def match(begin: int, end: int) -> None:
-        for one in parents[begin:end]:
-            check = tree.centre[one] + tree.radius[one] * sphere.check
-            halves = tree.children[one]
+        for cluster in parents[begin:end]:
+            check = tree.centre[cluster] + tree.radius[cluster] * sphere.check
+            halves = tree.children[cluster]
             positions = [tree.centre[k] + tree.radius[k] * sphere.charge for k in halves]
             potentials = inverse_distances(check, np.concatenate(positions))
-            child_to_parent[int(one)] = (
-                tree.radius[one] * sphere.check_to_charge.T @ potentials
+            child_to_parent[int(cluster)] = (
+                tree.radius[cluster] * sphere.check_to_charge.T @ potentials
             ).astype(np.float32)
 
     in_threads(match, parents.size)
@@ -420,11 +423,11 @@ def _node_moments(
     used = np.unique(shapes.indices)
     values = np.empty((len(sources), count * check.shape[1]))
     kernel(sources, centre, check, values)
-    own = csr_array(
+    local_shapes = csr_array(
         (shapes.data, np.searchsorted(used, shapes.indices), shapes.indptr),
         shape=(len(sources), used.size),
     )
-    at_check = (own.T @ values).reshape(-1, check.shape[1])
+    at_check = (local_shapes.T @ values).reshape(-1, check.shape[1])
     charges = radius * (at_check @ sphere.check_to_charge)
     charges = charges.reshape(used.size, count, sphere.check_to_charge.shape[1]).transpose(1, 2, 0)
     return used, np.ascontiguousarray(charges, dtype=np.float32)

@@ -80,8 +80,8 @@ class ClusterInverse:
 
         def solve(begin: int, end: int) -> None:
             for k in range(begin, end):
-                own = rows[self.points[k]].reshape(-1, rows.shape[2])
-                solution = lu_solve(self.factors[k], own, check_finite=False)
+                right = rows[self.points[k]].reshape(-1, rows.shape[2])
+                solution = lu_solve(self.factors[k], right, check_finite=False)
                 out[self.unknowns[k]] = solution.reshape(-1, 3, rows.shape[2])
 
         in_threads(solve, len(self.points))
@@ -115,17 +115,17 @@ def cluster_inverse(
     chosen = np.flatnonzero(size <= max_points)
     inner = tree.children[chosen].ravel()
     chosen = np.setdiff1d(chosen, inner[inner >= 0])
-    points = [tree.members(int(one)) for one in chosen]
+    points = [tree.members(int(cluster)) for cluster in chosen]
     pair = paired_unknowns(system)
-    unknowns = [pair[own] for own in points]
+    unknowns = [pair[members] for members in points]
     block_of = _blocks_by_point(system)
     factors: list[tuple[np.ndarray, np.ndarray]] = [(np.zeros(0), np.zeros(0))] * len(points)
 
     def factorise(begin: int, end: int) -> None:
         for k in range(begin, end):
             blocks = [system.operator.near[b] for b in np.unique(block_of[points[k]])]
-            own = _diagonal_block(system, weights, blocks, points[k], unknowns[k])
-            factors[k] = lu_factor(own, overwrite_a=True, check_finite=False)
+            block = _diagonal_block(system, weights, blocks, points[k], unknowns[k])
+            factors[k] = lu_factor(block, overwrite_a=True, check_finite=False)
 
     in_threads(factorise, len(points))
     no_slack = np.zeros((system.size - 3, 3)), np.eye(3)
@@ -255,8 +255,8 @@ def block_gmres(
     size = np.linalg.norm(right, axis=0) + _TINY if scale is None else scale
     parts = []
     for first in range(0, right.shape[1], _BLOCK_SIZE):
-        own = slice(first, first + _BLOCK_SIZE)
-        wanted = right[:, own] / size[own]
+        columns = slice(first, first + _BLOCK_SIZE)
+        wanted = right[:, columns] / size[columns]
         if low_precision is None:
             solution = _solve_block(product, inverse, wanted, tolerance, max_iterations)
         else:
@@ -305,16 +305,16 @@ def _diagonal_block(
         parts = [(of_vertex[block.nodes], block.traction_matrix(weights))]
         parts.append((of_side[block.sides], block.displacement_matrix(weights)))
         for column, values in parts:
-            kept = np.flatnonzero(column >= 0)
-            entries = np.ix_(row_of[block.points], range(3), column[kept])
-            matrix[entries] = values[..., kept].transpose(0, 1, 3, 2)
+            inside = np.flatnonzero(column >= 0)
+            entries = np.ix_(row_of[block.points], range(3), column[inside])
+            matrix[entries] = values[..., inside].transpose(0, 1, 3, 2)
     vertex = system.collocation.vertex[points]
     column = np.where(vertex >= 0, of_vertex[vertex], -1)
-    own = np.flatnonzero(column >= 0)
+    at_unknown = np.flatnonzero(column >= 0)
     row_sums = (
         weights.skew * system.operator.row_sums[0] + weights.rest * system.operator.row_sums[1]
     )
-    matrix[own, :, column[own], :] -= row_sums[points[own]]
+    matrix[at_unknown, :, column[at_unknown], :] -= row_sums[points[at_unknown]]
     return matrix.reshape(3 * points.size, -1)
 
 
@@ -338,16 +338,16 @@ def _refined(
         )
         # Half, as a margin: rounding must not cost another round.
         target = 0.5 * worst * (tolerance / worst) ** (1.0 / rounds)
-        own = np.flatnonzero(residual > tolerance)
+        unconverged = np.flatnonzero(residual > tolerance)
         step = _solve_block(
             low_precision if use_low_precision else product,
             inverse,
-            (right - known)[:, own],
+            (right - known)[:, unconverged],
             target,
             max_iterations - iterations,
         )
-        solution[:, own] += step.solution
-        known[:, own] += product(step.solution) if use_low_precision else step.product
+        solution[:, unconverged] += step.solution
+        known[:, unconverged] += product(step.solution) if use_low_precision else step.product
         iterations += step.iterations
         residual = np.linalg.norm(right - known, axis=0)
         use_low_precision &= (

@@ -207,8 +207,8 @@ def compress(
     skeletons = make_skeletons(points, collocation.point, proxies, _TOLERANCE)
     offset = np.empty_like(collocation.point)
     for leaf in points.leaves:
-        own = points.members(int(leaf))
-        offset[own] = collocation.point[own] - points.centre[leaf]
+        members = points.members(int(leaf))
+        offset[members] = collocation.point[members] - points.centre[leaf]
     far = FarField(
         triangles, moments, child_to_parent, points, *skeletons, far_pairs, sphere, offset
     )
@@ -233,13 +233,13 @@ def _all_moments(
 
     def gather(begin: int, end: int) -> None:
         for leaf in leaves[begin:end]:
-            own = np.sort(tree.members(leaf))
-            held = own[surface.held[own]]
+            elements = np.sort(tree.members(leaf))
+            held = elements[surface.held[elements]]
             moments[int(leaf)] = leaf_moments(
                 sphere,
                 tree.centre[leaf],
                 float(tree.radius[leaf]),
-                _sources(surface.displacement, own, surface.element_nodes[own]),
+                _sources(surface.displacement, elements, surface.element_nodes[elements]),
                 _sources(held_nodes, held_index[held], surface.element_nodes[held]),
             )
 
@@ -254,8 +254,8 @@ def _sources(
     barycentric, weight = triangle_rule(_DEGREE)
     points = element_points(corners, barycentric)
     points[:, :, 3:] *= weight[:, None]
-    each = np.repeat(elements, weight.size)
-    shapes = interpolation_matrix(nodes, each, np.tile(barycentric, (elements.size, 1)))
+    element = np.repeat(elements, weight.size)
+    shapes = interpolation_matrix(nodes, element, np.tile(barycentric, (elements.size, 1)))
     return points.reshape(-1, 6), shapes
 
 
@@ -321,18 +321,20 @@ def _near_field(
     def integrate(begin: int, end: int) -> None:
         for number in range(begin, end):
             leaf = int(leaves[number])
-            own = np.sort(np.concatenate([triangles.members(int(k)) for k in near[leaf]]))
-            held = own[surface.held[own]]
+            nearby = np.sort(np.concatenate([triangles.members(int(k)) for k in near[leaf]]))
+            held = nearby[surface.held[nearby]]
             points_here = _chosen(collocation, points.members(leaf))
             shared = surface, points_here, quadrature
-            nodes, traction_fields = _fields(*shared, TRACTION, surface.displacement, own, own)
+            nodes, traction_fields = _fields(
+                *shared, TRACTION, surface.displacement, nearby, nearby
+            )
             sides, displacement_fields = _fields(
                 *shared, DISPLACEMENT, held_nodes, held_index[held], held
             )
             blocks[number] = NearBlock(
                 points.members(leaf), nodes, traction_fields, sides, displacement_fields
             )
-            progress("integrals nearby", sum(one is not None for one in blocks) / len(blocks))
+            progress("integrals nearby", sum(block is not None for block in blocks) / len(blocks))
 
     in_threads(integrate, len(leaves))
     return [block for block in blocks if block is not None]
@@ -348,11 +350,11 @@ def _fields(
     triangles: Int[np.ndarray, " k"],
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "f m n"]]:
     """Nodes that determine a field on some elements, and the integrals of some points for these."""
-    used, own = _own_nodes(nodes, elements)
+    used, local_nodes = _own_nodes(nodes, elements)
     if not elements.size:
         return used, np.zeros((n_fields, len(collocation.point), 0), dtype=np.float32)
     integrals = kernel_integrals(
-        surface, collocation, own, n_fields, triangles=triangles, quadrature=quadrature
+        surface, collocation, local_nodes, n_fields, triangles=triangles, quadrature=quadrature
     )
     return used, _by_point(integrals.all_blocks())
 
@@ -388,8 +390,10 @@ def _own_nodes(
     number[~dependent] = np.searchsorted(used, element[~dependent])
     number[dependent] = used.size + middle
     columns = np.searchsorted(used, weights.indices)
-    own = csr_array((weights.data, columns, weights.indptr), shape=(middles.size, used.size))
-    return used, QuadraticNodes(number, used.size, own)
+    local_weights = csr_array(
+        (weights.data, columns, weights.indptr), shape=(middles.size, used.size)
+    )
+    return used, QuadraticNodes(number, used.size, local_weights)
 
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)

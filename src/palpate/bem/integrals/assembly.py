@@ -182,12 +182,14 @@ class KernelIntegrals:
         -------
         (n_nodes, n_fields, LANES) float
         """
-        one = slice(number, number + 1)
-        points = self.points._replace(lanes=self.points.lanes[one], rows=self.points.rows[one])
+        chosen = slice(number, number + 1)
+        points = self.points._replace(
+            lanes=self.points.lanes[chosen], rows=self.points.rows[chosen]
+        )
         return self._computed(points)[0]
 
     def all_blocks(self) -> FieldBlocks:
-        """Those of all blocks, computed in threads."""
+        """The integrals of all blocks, computed in threads."""
         return FieldBlocks(
             self._computed(self.points), self.points.rows, self.points.point.shape[0]
         )
@@ -368,10 +370,10 @@ def make_patches(centre: Float[np.ndarray, "m 3"], nodes: QuadraticNodes) -> _Pa
     row = terms.row[by_sum]
     # The kernel takes three terms at a time: the last of a sum may have no weight.
     padded = np.append(0, np.cumsum(-(-terms_of_sum // 3) * 3))
-    place = np.arange(row.size) + np.repeat(padded[:-1] - start, terms_of_sum)
-    own, weight = np.zeros(padded[-1], dtype=np.int64), np.zeros(padded[-1])
-    own[place] = row - first[patch_of_own[row]]
-    weight[place] = terms.data[by_sum]
+    slot = np.arange(row.size) + np.repeat(padded[:-1] - start, terms_of_sum)
+    local, weight = np.zeros(padded[-1], dtype=np.int64), np.zeros(padded[-1])
+    local[slot] = row - first[patch_of_own[row]]
+    weight[slot] = terms.data[by_sum]
     return _Patches(
         order=order,
         number=number.reshape(-1, 6) - first[patch][:, None],
@@ -380,7 +382,7 @@ def make_patches(centre: Float[np.ndarray, "m 3"], nodes: QuadraticNodes) -> _Pa
         sums=np.searchsorted(patch_of_sum, np.arange(triangles.size)),
         node=node,
         terms=padded,
-        own=own,
+        own=local,
         weight=weight,
     )
 

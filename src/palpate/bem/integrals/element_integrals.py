@@ -279,12 +279,12 @@ def integrate_blocks(begin, end, n_fields, points, elements, rules, patches, out
                     points.lanes[b], elements.centre[e], elements.radius[e], rules.ratios, ratio
                 )
                 n_points = start[rule + 1] - start[rule]
-                own = start[rule] * elements.nodes.shape[0] + e * n_points
+                first_source = start[rule] * elements.nodes.shape[0] + e * n_points
                 for first in range(0, n_points, _BATCH):
                     last = min(first + _BATCH, n_points)
                     fields = buffer[: (last - first) * width]
                     if n_points <= MOST_KEPT:
-                        sources = elements.sources[own + first : own + last]
+                        sources = elements.sources[first_source + first : first_source + last]
                     else:
                         sources = own_sources[: last - first]
                         _fill_sources(elements.nodes[e], rules.points, start[rule] + first, sources)
@@ -388,11 +388,11 @@ def _divide(part, children):
     for k in range(3):
         after, before = (k + 1) % 3, (k + 2) % 3
         for i in range(3):
-            own = part[3 * k + i]
-            children[k, i] = own
-            children[k, 3 + i] = 0.5 * (own + part[3 * after + i])
-            children[k, 6 + i] = 0.5 * (own + part[3 * before + i])
-            children[3, 3 * k + i] = 0.5 * (own + part[3 * after + i])
+            corner = part[3 * k + i]
+            children[k, i] = corner
+            children[k, 3 + i] = 0.5 * (corner + part[3 * after + i])
+            children[k, 6 + i] = 0.5 * (corner + part[3 * before + i])
+            children[3, 3 * k + i] = 0.5 * (corner + part[3 * after + i])
     for k in range(4):
         children[k, 9] = 0.25 * part[9]
 

@@ -184,7 +184,7 @@ def rounded_gauss(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " 
 
 
 def polar_points(
-    place: Float[np.ndarray, "c 3 3"],
+    position: Float[np.ndarray, "c 3 3"],
     corners: Float[np.ndarray, "c 3 3"],
     disc: PressureDisc | None,
     count: int,
@@ -197,7 +197,7 @@ def polar_points(
 
     Parameters
     ----------
-    place : (c, 3, 3) float [m]     corners of the cells, as if they were flat
+    position : (c, 3, 3) float [m]  corners of the cells, as if they were flat
     corners : (c, 3, 3) float [-]   their barycentric coordinates in the triangle
     disc : PressureDisc or None     the round patch, where there is one
     count : int                     points on either half of a radius, and of the range of angles
@@ -207,10 +207,10 @@ def polar_points(
     barycentric : (c, q, 3) float [-]    q = 4 count^2
     weight : (c, q) float [-]       sum to half the cell's share of its triangle
     """
-    near, side = place[:, 1] - place[:, 0], place[:, 2] - place[:, 1]
-    angles = _whole(np.ones(len(place)))
+    near, side = position[:, 1] - position[:, 0], position[:, 2] - position[:, 1]
+    angles = _whole(np.ones(len(position)))
     if disc is not None:
-        centre = disc.centre - place[:, 0]
+        centre = disc.centre - position[:, 0]
         angles = _seen_interval(near, side, centre, disc.radius)
     t, weight_t = _chord_points(*angles, count)
     radii = _whole(np.ones(t.shape))

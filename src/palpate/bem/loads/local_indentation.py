@@ -117,7 +117,9 @@ def load_right_hand(
     """
     fields = integrate_loads(system.surface, loads, system.collocation, system.rows)
     right = load_columns(fields, -np.eye(3) / system.traction_length)
-    known = {k: each for k, each in enumerate(corrections or ()) if each is not None}
+    known = {
+        k: correction for k, correction in enumerate(corrections or ()) if correction is not None
+    }
     if known:
         columns = (3 * np.array([*known])[:, None] + np.arange(3)).ravel()
         right.terms[:, :, columns] += correction_columns(system, [*known.values()]).terms
@@ -180,8 +182,8 @@ def missed_indentation(
     element = surface.displacement.element[triangle[near]]
     used, local = np.unique(element, return_inverse=True)
     at_nodes = _fitted(surface, dip, used)[:, local.reshape(element.shape)]
-    there, fitted = dip.at(position), np.einsum("kn,snkij->snij", shapes, at_nodes)
-    missed[:, near] = share[near, None, None] * (there - fitted)
+    exact, fitted = dip.at(position), np.einsum("kn,snkij->snij", shapes, at_nodes)
+    missed[:, near] = share[near, None, None] * (exact - fitted)
     return missed
 
 
@@ -312,14 +314,14 @@ def _correction_nodes(
     functions are scaled by these entries (constant and slope, then forces, then components); and
     the triangles on which they are not zero."""
     entries = corrections[0].correction[:, 0].size
-    used = np.unique(np.concatenate([one.midside_nodes for one in corrections]))
+    used = np.unique(np.concatenate([correction.midside_nodes for correction in corrections]))
     number = np.full(nodes.weights.shape[0], -1)
     number[used] = np.arange(used.size)
     parts = []
-    for k, one in enumerate(corrections):
-        values = one.correction.transpose(1, 0, 3, 2).reshape(-1, entries)
-        row = np.repeat(number[one.midside_nodes], entries)
-        column = np.tile(entries * k + np.arange(entries), one.midside_nodes.size)
+    for k, correction in enumerate(corrections):
+        values = correction.correction.transpose(1, 0, 3, 2).reshape(-1, entries)
+        row = np.repeat(number[correction.midside_nodes], entries)
+        column = np.tile(entries * k + np.arange(entries), correction.midside_nodes.size)
         parts.append((row, column, values.ravel()))
     row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
     # One more row of zeros, for corners and for midside nodes that are not corrected.

@@ -94,11 +94,11 @@ def load_columns(
     n_rows, count = fields.shape[:2]
     terms = np.zeros((3, 3 * n_rows + 3, 3 * count))
     for k in range(count):
-        own = slice(3 * k, 3 * k + 3)
+        columns = slice(3 * k, 3 * k + 3)
         constant, slope = displacement_parts(fields[:, k].T)
-        terms[0, :-3, own] = constant.transpose(0, 2, 1).reshape(-1, 3)
-        terms[1, :-3, own] = slope.transpose(0, 2, 1).reshape(-1, 3)
-        terms[0, -3:, own] = balance
+        terms[0, :-3, columns] = constant.transpose(0, 2, 1).reshape(-1, 3)
+        terms[1, :-3, columns] = slope.transpose(0, 2, 1).reshape(-1, 3)
+        terms[0, -3:, columns] = balance
     return RightHand(terms)
 
 

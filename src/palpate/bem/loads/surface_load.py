@@ -186,18 +186,18 @@ def integrate_loads(
     placed = [_placed_load(surface, load) for load in loads]
     points = [_placed_points(surface, load) for load in placed]
     sources = _as_sources(
-        np.concatenate([one.position for one in points]),
-        np.concatenate([one.weight for one in points]),
+        np.concatenate([patch.position for patch in points]),
+        np.concatenate([patch.weight for patch in points]),
     )
-    first = np.cumsum([0, *(one.triangle.size for one in points)])
+    first = np.cumsum([0, *(patch.triangle.size for patch in points)])
     out = np.zeros((rows.shape[0], len(loads), DISPLACEMENT * LANES))
     in_threads(_sum_points, rows.shape[0], lanes_of(collocation.point, rows), sources, first, out)
     count = collocation.point.shape[0]
     fields = out.reshape(-1, len(loads), DISPLACEMENT, LANES).transpose(0, 3, 1, 2)
     fields = fields.reshape(-1, len(loads), DISPLACEMENT)[:count].copy()
     corners = _corners_at_points(surface, collocation, rows.ravel()[:count])
-    for k, (load, one) in enumerate(zip(placed, points, strict=True)):
-        _recompute_rows_on_patch(surface, load, one, corners, fields[:, k])
+    for k, (load, patch) in enumerate(zip(placed, points, strict=True)):
+        _recompute_rows_on_patch(surface, load, patch, corners, fields[:, k])
     return fields
 
 
@@ -304,9 +304,9 @@ def _cell_balls(
     surface: BoundarySurface, triangle: Int[np.ndarray, " c"], corners: Float[np.ndarray, "c 3 3"]
 ) -> tuple[Float[np.ndarray, "c 3"], Float[np.ndarray, " c"]]:
     """Centre of each cell, and the distance of its farthest corner from it [m]."""
-    place = _corner_places(surface, triangle, corners)
-    middle = place.mean(axis=1)
-    return middle, np.linalg.norm(place - middle[:, None], axis=2).max(axis=1)
+    position = _corner_places(surface, triangle, corners)
+    middle = position.mean(axis=1)
+    return middle, np.linalg.norm(position - middle[:, None], axis=2).max(axis=1)
 
 
 def _corner_places(
@@ -332,11 +332,11 @@ def _cell_points(
     """Triangle, points and weights of the cells within a load, then of those across its rim."""
     rim = np.zeros(triangle.size, dtype=bool)
     if load.disc is not None:
-        place = _corner_places(surface, triangle, corners)
-        away = np.linalg.norm(place - load.disc.centre, axis=2)
+        corner_position = _corner_places(surface, triangle, corners)
+        away = np.linalg.norm(corner_position - load.disc.centre, axis=2)
         rim = away.max(axis=1) >= load.disc.radius
         count = load.cells.rim_points
-        barycentric, weight = polar_points(place[rim], corners[rim], load.disc, count)
+        barycentric, weight = polar_points(corner_position[rim], corners[rim], load.disc, count)
         position, area, density = _traction_at(surface, load, triangle[rim], barycentric)
         yield triangle[rim], position, density * area * weight
     within, weight = triangle_rule(load.cells.degree)
@@ -443,14 +443,16 @@ def _recompute_rows_on_patch(
     rim of the patch, the shape of the load suffers, not its total.
     """
     loaded = np.unique(points.triangle)
-    own = np.concatenate([np.arange(at.start[k], at.start[k + 1]) for k in loaded])
-    if not own.size:
+    chosen = np.concatenate([np.arange(at.start[k], at.start[k + 1]) for k in loaded])
+    if not chosen.size:
         return
-    own = own[np.argsort(at.row[own], kind="stable")]
-    triangle, corners = at.triangle[own], at.corners[own]
-    rows, start, number = np.unique(at.row[own], return_index=True, return_inverse=True)
-    place = _corner_places(surface, triangle, corners)
-    barycentric, polar_weight = polar_points(place, corners, load.disc, load.cells.polar_points)
+    chosen = chosen[np.argsort(at.row[chosen], kind="stable")]
+    triangle, corners = at.triangle[chosen], at.corners[chosen]
+    rows, start, number = np.unique(at.row[chosen], return_index=True, return_inverse=True)
+    corner_position = _corner_places(surface, triangle, corners)
+    barycentric, polar_weight = polar_points(
+        corner_position, corners, load.disc, load.cells.polar_points
+    )
     position, area, density = _traction_at(surface, load, triangle, barycentric)
     weight = density * area * polar_weight / points.total
     around = np.concatenate([position.transpose(0, 2, 1), weight[:, None]], axis=1)
@@ -458,15 +460,15 @@ def _recompute_rows_on_patch(
     whole = np.concatenate([points.position.T, points.weight[None]])
     # Too little for threads.
     _sum_around(
-        0, rows.size, at.point[rows], around, triangle, np.append(start, own.size), whole,
+        0, rows.size, at.point[rows], around, triangle, np.append(start, chosen.size), whole,
         points.triangle, recomputed,
     )  # fmt: skip
     of_triangle = np.bincount(points.triangle, points.weight, triangle.max() + 1)
     pairs = np.unique(np.stack([number, triangle]), axis=1)
     beside = 1.0 - np.bincount(pairs[0], of_triangle[pairs[1]])
     total = beside + np.bincount(number, weight.sum(axis=1))
-    resolved = np.abs(total - 1.0) < _LARGEST_ERROR
-    fields[rows[resolved]] = recomputed[resolved] / total[resolved, None]
+    accurate = np.abs(total - 1.0) < _LARGEST_ERROR
+    fields[rows[accurate]] = recomputed[accurate] / total[accurate, None]
 
 
 @numba.njit(nogil=True, fastmath=True, error_model="numpy", cache=True)

@@ -257,10 +257,10 @@ def bases(projectors: Float[np.ndarray, "n 3 3"]) -> csr_array:
     (3 n, q) sparse               the coordinate axes where a projector is the identity
     """
     value, vector = np.linalg.eigh(projectors)
-    kept = value > 0.5
+    in_range = value > 0.5
     is_identity = np.isclose(projectors, np.eye(3), atol=1e-12).all(axis=(1, 2))
     vector[is_identity] = np.eye(3)
-    block, column = np.nonzero(kept)
+    block, column = np.nonzero(in_range)
     data = vector[block, :, column].ravel()
     row = (3 * block[:, None] + np.arange(3)).ravel()
     number = np.repeat(np.arange(block.size), 3)

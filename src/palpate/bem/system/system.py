@@ -247,8 +247,8 @@ def restricted_nodes(
     count = int(index.max()) + 1
     corner = index[nodes.element[elements, :3]]
     middle = nodes.element[elements, 3:] - nodes.n_nodes + count
-    kept = np.flatnonzero(index >= 0)
-    order = kept[np.argsort(index[kept])]
+    numbered = np.flatnonzero(index >= 0)
+    order = numbered[np.argsort(index[numbered])]
     return QuadraticNodes(np.concatenate([corner, middle], axis=1), count, nodes.weights[:, order])
 
 
@@ -324,8 +324,8 @@ def place_collocation(surface: BoundarySurface, unknowns: Unknowns) -> Collocati
 def _digest(surface: BoundarySurface, quadrature: Quadrature) -> str:
     """Digest of everything that the equations depend on."""
     nodes = [
-        (each.element, each.weights.indptr, each.weights.indices, each.weights.data)
-        for each in (surface.displacement, surface.traction)
+        (node_set.element, node_set.weights.indptr, node_set.weights.indices, node_set.weights.data)
+        for node_set in (surface.displacement, surface.traction)
     ]
     shape = surface.mesh.triangles, surface.element_nodes
     held = surface.held, surface.held_directions
@@ -335,8 +335,8 @@ def _digest(surface: BoundarySurface, quadrature: Quadrature) -> str:
 def _span(total: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"]:
     """Orthogonal projector onto the range of a sum of projectors."""
     value, vector = np.linalg.eigh(total)
-    kept = vector * (value > _SAME_DIRECTION)[:, None, :]
-    return np.einsum("nik,njk->nij", kept, vector)
+    directions = vector * (value > _SAME_DIRECTION)[:, None, :]
+    return np.einsum("nik,njk->nij", directions, vector)
 
 
 def _points_inside(

@@ -85,7 +85,7 @@ def contact_perturbations(session: Session) -> tuple[ContactPerturbation, ...]:
 def dip_perturbations(
     session: Session,
     patch_of: Int[np.ndarray, " k"],
-    dips: Sequence[IndentationCorrection | None],
+    corrections: Sequence[IndentationCorrection | None],
 ) -> tuple[ContactPerturbation, ...]:
     """Perturbed dips: errors of the displacement about contacts that the mesh does not resolve.
 
@@ -93,7 +93,7 @@ def dip_perturbations(
     ----------
     session : Session
     patch_of : (k,) int             index of each probing's patch in the model
-    dips : sequence of IndentationCorrection or None     of the patches
+    corrections : sequence of IndentationCorrection or None     of the patches
 
     Returns
     -------
@@ -103,7 +103,7 @@ def dip_perturbations(
     return tuple(
         ContactPerturbation(k, {_dip_parameter(probing.name): 1.0}, dip=DIP_ERROR)
         for k, probing in enumerate(session.probings)
-        if patch_of[k] >= 0 and dips[patch_of[k]] is not None
+        if patch_of[k] >= 0 and corrections[patch_of[k]] is not None
     )
 
 
@@ -144,12 +144,12 @@ def outward_pushes(
     -------
     list of (SurfaceLoad, (3,) float [N])   empty where the traction has no outward part
     """
-    contact, pressed = patch.contact, float(-normal @ force)
+    contact, normal_force = patch.contact, float(-normal @ force)
     potential = _potential(contact)
     if potential is None:
         return []
     return [
-        (_potential_load(patch, centre, potential), pressed * share)
+        (_potential_load(patch, centre, potential), normal_force * share)
         for centre, share in _shifts(contact, normal)
     ]
 
@@ -244,8 +244,8 @@ def _perturbed(
             )
             for name in names
         ]
-        for steps, place in zip(_PLACES.tolist(), places[1:], strict=True):
-            moved_contact = replace(contact, point=contact.point + place - places[0])
+        for steps, position in zip(_PLACES.tolist(), places[1:], strict=True):
+            moved_contact = replace(contact, point=contact.point + position - places[0])
             yield dict(zip(parameters, steps, strict=True)), moved_contact
     radius_std = _radius_std(session, contact)
     if radius_std > 0.0 and contact.radius is not None:

@@ -148,11 +148,13 @@ def refined_mesh(
     at_crease = np.zeros(len(boundary.mesh.vertices), dtype=bool)
     at_crease[ends[cut]] = True
     long = ~cut & at_crease[ends].all(axis=1)
-    place = boundary.mesh.vertices[ends]
-    length = np.linalg.norm(place[:, 1] - place[:, 0], axis=1)
+    position = boundary.mesh.vertices[ends]
+    length = np.linalg.norm(position[:, 1] - position[:, 0], axis=1)
     for contact in contacts:
         if contact.radius is not None and (contact.has_sharp_rim or _is_crossed(boundary, contact)):
-            distance = np.linalg.norm(place.mean(axis=1) - contact.point, axis=1) - contact.radius
+            distance = (
+                np.linalg.norm(position.mean(axis=1) - contact.point, axis=1) - contact.radius
+            )
             long |= (distance < length) & (length > _LONG_AT_CONTACT * contact.radius)
     return _divided(boundary, np.where(long[:, None], ends, -1), 0.5)
 

@@ -101,11 +101,11 @@ class Correction:
 
     def at(self, constants: MaterialConstants) -> Points:
         """The correction for nearly the same constants, (p, 3) [m]."""
-        own = self.constants
+        present = self.constants
         change = [
-            np.log(constants.shear_modulus / own.shear_modulus),
-            constants.poisson_ratio - own.poisson_ratio,
-            constants.stiffening - own.stiffening,
+            np.log(constants.shear_modulus / present.shear_modulus),
+            constants.poisson_ratio - present.poisson_ratio,
+            constants.stiffening - present.stiffening,
         ]
         return self.value + np.tensordot(change, self.slope, axes=1)
 
@@ -116,8 +116,7 @@ _Coarser = tuple[Correction, Correction]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Used:
-    """What an estimate is made from: the errors of corrections are known once there are coarser
-    ones."""
+    """Data of an estimate; errors of the corrections are known once there are coarser ones."""
 
     observations: Sequence[ProbeObservations]
     settings: FitSettings
@@ -169,25 +168,28 @@ def fit_at_finite_strain(
     NotConvergedError               no equilibrium, or the constants do not converge
     """
     used = _Used(observations, settings)
-    body, report = make_finite_body(session, coarser=_COARSER), part_of(progress, 0.0, _ROUGH)
-    rough, coarse = _converged(body, used, linear, report, stiffens=True)
-    report = part_of(progress, _ROUGH, _OTHER)
+    body = make_finite_body(session, coarser=_COARSER)
+    stage_progress = part_of(progress, 0.0, _ROUGH)
+    rough, coarse = _converged(body, used, linear, stage_progress, stiffens=True)
+    stage_progress = part_of(progress, _ROUGH, _OTHER)
     other = strain_corrections(
-        body, coarse[0].constants, law=SplitNeoHookean, starts=coarse, progress=report
+        body, coarse[0].constants, law=SplitNeoHookean, starts=coarse, progress=stage_progress
     )
     used = replace(used, coarser=tuple(zip(coarse, other, strict=True)))
-    body, report = make_finite_body(session), part_of(progress, _OTHER, 1.0)
+    body, stage_progress = make_finite_body(session), part_of(progress, _OTHER, 1.0)
     result, estimated = rough, estimated_stiffening(rough)
     starts: tuple[Correction, ...] = ()
     if estimated.value > _HOPELESS * estimated.std:
-        result, starts = _converged(body, used, rough, report, stiffens=True)
+        result, starts = _converged(body, used, rough, stage_progress, stiffens=True)
         estimated = estimated_stiffening(result)
     # What is not shown may be there: the constants allow for it, unless it is hardly suspected.
     if estimated.value <= _HOPELESS * estimated.std:
-        result, starts = _converged(body, used, result, report, stiffens=False, starts=starts)
+        result, starts = _converged(
+            body, used, result, stage_progress, stiffens=False, starts=starts
+        )
     estimate, shown = result.estimate, is_stiffening(estimated)
-    told, size = stiffening_text(estimated, shown=shown), _size_note(observations, starts)
-    notes = (told, *estimate.notes, size) if shown else (*estimate.notes, size, told)
+    sentence, size = stiffening_text(estimated, shown=shown), _size_note(observations, starts)
+    notes = (sentence, *estimate.notes, size) if shown else (*estimate.notes, size, sentence)
     if estimate.status is Status.MODEL_CONTRADICTED:
         notes, estimated = (
             (*estimate.notes, size),
@@ -239,16 +241,16 @@ def strain_corrections(
         poisson_ratio=constants.poisson_ratio,
     )
     sag = _sagged(body, elastic, constants, law) if body.weight.any() else None
-    pressed: list[tuple[FinitePress, Points, Float[np.ndarray, "3 n 3"]]] = []
+    solved: list[tuple[FinitePress, Points, Float[np.ndarray, "3 n 3"]]] = []
     for k, same in enumerate(body.same):
         progress("finite strain", k / len(body.same))
         start = starts[k].press if starts else None
-        pressed.append(
-            pressed[same] if same < k else _pressed(body, k, elastic, constants, law, start, sag)
+        solved.append(
+            solved[same] if same < k else _pressed(body, k, elastic, constants, law, start, sag)
         )
     return tuple(
-        Correction(constants, seen @ value, np.stack([seen @ each for each in slope]), press)
-        for seen, (press, value, slope) in zip(body.observed, pressed, strict=True)
+        Correction(constants, seen @ value, np.stack([seen @ change for change in slope]), press)
+        for seen, (press, value, slope) in zip(body.observed, solved, strict=True)
     )
 
 
@@ -298,8 +300,8 @@ def _sagged(body: FiniteBody, elastic: Body, constants: MaterialConstants, plain
 def _laws(
     elastic: Body, constants: MaterialConstants, plain: LawOf
 ) -> tuple[LawOf, Law, list[Law]]:
-    """The law of a material, as a function of its constants and with them; and with those that it
-    is mixed with: a larger lambda, and more stiffening."""
+    """The law of a material as a function of its constants; the law at these; and laws at others,
+    for derivatives: a larger lambda, and more stiffening."""
     (mu, lame), law = elastic.lame, yeoh(constants.stiffening, plain)
     others = [law(mu, lame + mu), yeoh(constants.stiffening + 1.0, plain)(mu, lame)]
     return law, law(mu, lame), others
@@ -321,8 +323,8 @@ def _converged(
     last = 0.0, 0.0
     for iteration in range(_MOST_ROUNDS):
         before = now
-        report = part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1))
-        starts = strain_corrections(body, before, starts=starts, progress=report)
+        stage_progress = part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1))
+        starts = strain_corrections(body, before, starts=starts, progress=stage_progress)
         if used.coarser:
             starts = tuple(map(_extrapolated, starts, used.coarser))
         corrected = [
@@ -353,7 +355,7 @@ def _extrapolated(correction: Correction, rough: _Coarser) -> Correction:
 
 
 def _is_settled(before: MaterialConstants, now: MaterialConstants, result: FitResult) -> bool:
-    """Whether the constants stand still that the data determine; a beam's nu wanders for ever."""
+    """Whether the constants that the data determine stand still; the nu of a beam never does."""
     estimate, stiffening = result.estimate, estimated_stiffening(result)
     least = {
         "shear_modulus": _MODULUS_TOLERANCE * now.shear_modulus,
@@ -370,14 +372,14 @@ def _is_settled(before: MaterialConstants, now: MaterialConstants, result: FitRe
 
 
 def _constants(result: FitResult, *, stiffens: bool) -> MaterialConstants:
-    """What a result says of the material; its energy is convex."""
+    """Constants of the material from a result; never softening, so that the energy is convex."""
     estimate = result.estimate
     stiffening = max(estimated_stiffening(result).value, 0.0) if stiffens else 0.0
     return MaterialConstants(estimate.shear_modulus.value, estimate.poisson_ratio.value, stiffening)
 
 
 def _taken_off(correction: Correction, *, stiffens: bool) -> Points:
-    """The part of a correction that depends on no constant, and on the force as little."""
+    """The part of a correction that depends neither on the constants nor on the force."""
     fixed = correction.value + correction.slope[0]
     if stiffens:
         fixed = fixed - correction.constants.stiffening * correction.slope[2]
@@ -401,7 +403,7 @@ def corrected_observations(
     n, now = len(observed.position), correction.constants
     tip, fixed = observed.tip_displacement, _taken_off(correction, stiffens=stiffens)
     along = now.shear_modulus * observed.force / float(observed.force @ observed.force)
-    by_modulus, by_ratio = (each.ravel() for each in correction.slope[:2])
+    by_modulus, by_ratio = (derivative.ravel() for derivative in correction.slope[:2])
     by_force = np.outer(-by_modulus, along), np.outer(by_ratio, along)
     response = _FiniteResponse(observed.response, now.poisson_ratio, *by_force)
     errors = [_error(observed.name, correction, rough)]
@@ -437,8 +439,8 @@ def _error(name: str, correction: Correction, rough: _Coarser | None) -> Nuisanc
             ),
         ]
     parameters = (
-        NuisanceParameter(f"{of} (in steps {step})", std, of="finite strain")
-        for of, step, std, _ in errors
+        NuisanceParameter(f"{what} (in steps {step})", std, of="finite strain")
+        for what, step, std, _ in errors
     )
     moved = np.stack([std * step.ravel() for *_, std, step in errors], axis=1)
     return Nuisance(tuple(parameters), lambda at: fixed_displacement(moved[at.rows], at))

@@ -77,7 +77,8 @@ class Traction:
     dip_force: Float[np.ndarray, "3 m"]
 
     def dips(self) -> list[tuple[IndentationCorrection, Float[np.ndarray, " m"]]]:
-        """Dips under as few single forces as its columns need, each with its factor in all."""
+        """Dips under as few single forces as the columns need, each with its factor in every
+        column."""
         if self.dip is None:
             return []
         axis, size, share = np.linalg.svd(self.dip_force, full_matrices=False)
@@ -149,7 +150,7 @@ class LoadTable:
         triangle: Int[np.ndarray, " n"],
         barycentric: Float[np.ndarray, "n 3"],
     ) -> Float[np.ndarray, "2 q c"]:
-        """What is missed of the dips about contacts between the vertices (`bem`), in some columns.
+        """Part of the dips about contacts that is missed between vertices (`bem`), in some columns.
 
         Parameters
         ----------
@@ -168,9 +169,9 @@ class LoadTable:
             # Of many pushes, few tractions are in any columns.
             if traction.dip is None or wanted.isdisjoint(traction.columns.tolist()):
                 continue
-            _, here, own = np.intersect1d(columns, traction.columns, return_indices=True)
+            _, here, chosen = np.intersect1d(columns, traction.columns, return_indices=True)
             dip = missed_indentation(surface, traction.dip.dip, triangle, barycentric)
-            missed[:, :, here] += (dip @ traction.dip_force[:, own]).reshape(2, -1, own.size)
+            missed[:, :, here] += (dip @ traction.dip_force[:, chosen]).reshape(2, -1, chosen.size)
         return missed
 
     def integrate(self, system: BoundarySystem) -> tuple[RightHand, BodyForce | None]:
@@ -186,18 +187,18 @@ class LoadTable:
         BodyForce or None             None: there is no weight
         """
         terms = np.zeros((3, 3 * system.n_points + 3, self._ends[-1]))
-        for each in self.tractions:
-            if each.is_uniform:
-                unit = face_columns(system, each.load.triangles).terms
-                terms[:, :, each.columns] += unit @ each.force
-        for part in _slices([each for each in self.tractions if not each.is_uniform]):
-            units = load_right_hand(system, [each.load for each in part]).terms
-            for each, unit in zip(part, np.split(units, len(part), axis=2), strict=True):
-                terms[:, :, each.columns] += unit @ each.force
-        dips = [(each.columns, *dip) for each in self.tractions for dip in each.dips()]
-        for some in _slices(dips):
-            corrections = correction_columns(system, [dip for _, dip, _ in some]).terms
-            for k, (columns, _, factor) in enumerate(some):
+        for traction in self.tractions:
+            if traction.is_uniform:
+                unit = face_columns(system, traction.load.triangles).terms
+                terms[:, :, traction.columns] += unit @ traction.force
+        for part in _slices([traction for traction in self.tractions if not traction.is_uniform]):
+            units = load_right_hand(system, [traction.load for traction in part]).terms
+            for traction, unit in zip(part, np.split(units, len(part), axis=2), strict=True):
+                terms[:, :, traction.columns] += unit @ traction.force
+        dips = [(traction.columns, *dip) for traction in self.tractions for dip in traction.dips()]
+        for batch in _slices(dips):
+            corrections = correction_columns(system, [dip for _, dip, _ in batch]).terms
+            for k, (columns, _, factor) in enumerate(batch):
                 terms[:, :, columns] += corrections[:, :, k, None] * factor
         for patch in self.pressed.values():
             column = self.pressure_columns(patch.contact)
@@ -266,7 +267,7 @@ def make_load_table(
 
 
 def _slices(items: Sequence[T]) -> Iterator[Sequence[T]]:
-    """Some at a time."""
+    """Consecutive slices of a few items."""
     for begin in range(0, len(items), _TOGETHER):
         yield items[begin : begin + _TOGETHER]
 
@@ -282,9 +283,9 @@ def _nominal(
     its place; more of its dip where that is perturbed."""
     force = _units(table, patch)
     dip_force = dict(force)
-    for column, each, pushed in _own(session, table, patch):
-        force[column] = -pushed if each.patch is not None else np.zeros(3)
-        dip_force[column] = force[column] + each.dip * pushed
+    for column, perturbation, pushed in _own(session, table, patch):
+        force[column] = -pushed if perturbation.patch is not None else np.zeros(3)
+        dip_force[column] = force[column] + perturbation.dip * pushed
     traction = _traction(load, dip, force, is_uniform=patch.contact.triangles is not None)
     return replace(traction, dip_force=np.stack([*dip_force.values()], axis=1))
 
@@ -295,18 +296,19 @@ def _outward(session: Session, table: LoadTable) -> Iterator[tuple[SurfaceLoad, 
     for patch in table.patches.values():
         normal = normals[patch.triangle]
         every = _units(table, patch)
-        for column, each, pushed in _own(session, table, patch):
-            if each.outward:
-                every[column] = each.outward * pushed
+        for column, perturbation, pushed in _own(session, table, patch):
+            if perturbation.outward:
+                every[column] = perturbation.outward * pushed
         for load, share in outward_pushes(patch, normal, -normal):
             yield load, {column: -normal @ force * share for column, force in every.items()}
 
 
 def _perturbed(session: Session, table: LoadTable) -> Iterator[tuple[SurfaceLoad, _Forces]]:
     """Contacts beside their place, or of another radius, under the forces of their probings."""
-    for column, each in zip(table.perturbation_columns, table.perturbations, strict=True):
-        if each.patch is not None:
-            yield surface_load(each.patch), {column: session.probings[each.probing].force}
+    for column, perturbation in zip(table.perturbation_columns, table.perturbations, strict=True):
+        if perturbation.patch is not None:
+            force = session.probings[perturbation.probing].force
+            yield surface_load(perturbation.patch), {column: force}
 
 
 def _units(table: LoadTable, patch: ContactPatch) -> _Forces:
@@ -319,9 +321,11 @@ def _own(
 ) -> Iterator[tuple[int, ContactPerturbation, Vector3]]:
     """Column, perturbation and force of each perturbation of the contact on a patch."""
     every = list(table.patches.values())
-    for column, each in zip(table.perturbation_columns.tolist(), table.perturbations, strict=True):
-        if every[table.patch_of[each.probing]] is patch:
-            yield column, each, session.probings[each.probing].force
+    for column, perturbation in zip(
+        table.perturbation_columns.tolist(), table.perturbations, strict=True
+    ):
+        if every[table.patch_of[perturbation.probing]] is patch:
+            yield column, perturbation, session.probings[perturbation.probing].force
 
 
 def _traction(

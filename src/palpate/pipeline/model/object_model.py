@@ -291,7 +291,7 @@ class ObservationMatrix:
 def probe_rows(
     model: ObjectModel,
     index: int,
-    place: SurfacePoints,
+    surface_points: SurfacePoints,
     *,
     average: SurfaceAverage | None = None,
     perturbed: bool = True,
@@ -302,7 +302,7 @@ def probe_rows(
     ----------
     model : ObjectModel
     index : int                       of the probing in its session
-    place : SurfacePoints             observed points
+    surface_points : SurfacePoints    observed points
     average : SurfaceAverage or None  average that is observed; None: displacement at the points
     perturbed : bool                  False: without the columns of perturbed contacts
 
@@ -312,7 +312,7 @@ def probe_rows(
     """
     perturbations = _own_perturbations(model, index)[: None if perturbed else 0]
     columns, known_loads = _columns(model, index, perturbations)
-    seen = _seen(model, index, place, average)
+    seen = _seen(model, index, surface_points, average)
     nodes = model.system.surface.displacement
     points = interpolation_matrix(nodes, seen.triangle, seen.barycentric)
     observed = csr_array(seen.matrix @ kron(points, np.eye(3)))
@@ -332,7 +332,7 @@ def probe_rows(
         csr_array(hstack(parts)),
         np.stack([seen.matrix @ part for part in missed]),
         particular,
-        len(place.triangle),
+        len(surface_points.triangle),
         known_loads,
         model.body is not None,
         _motions(model, index, observed) if model.supports else None,
@@ -357,12 +357,12 @@ class _Seen:
 
 
 def _seen(
-    model: ObjectModel, index: int, place: SurfacePoints, average: SurfaceAverage | None
+    model: ObjectModel, index: int, surface_points: SurfacePoints, average: SurfaceAverage | None
 ) -> _Seen:
     """What a probing observes: the displacements of points or their averages, and that of its
     contact point where it was measured."""
-    parts = [(place.triangle, place.barycentric)]
-    matrix = csr_array(eye_array(3 * len(place.triangle)))
+    parts = [(surface_points.triangle, surface_points.barycentric)]
+    matrix = csr_array(eye_array(3 * len(surface_points.triangle)))
     if average is not None:
         around = _samples(model, average)
         parts.append((around.triangle, around.barycentric))
@@ -388,7 +388,9 @@ def _samples(model: ObjectModel, average: SurfaceAverage) -> SurfacePoints:
 
 def _own_perturbations(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:
     """Indices of a probing's perturbed contacts in `LoadTable.perturbations`."""
-    return np.flatnonzero([each.probing == index for each in model.loads.perturbations])
+    return np.flatnonzero(
+        [perturbation.probing == index for perturbation in model.loads.perturbations]
+    )
 
 
 def _particular(system: BoundarySystem, body: BodyForce) -> Float[np.ndarray, "v 3"]:
@@ -430,11 +432,11 @@ def _own_motions(model: ObjectModel, index: int) -> Int[np.ndarray, " q"]:
 
 def _motions(model: ObjectModel, index: int, observed: csr_array) -> ProbeMotions:
     shapes = model.loads.shapes[:, :, _own_motions(model, index)]
-    own = observed @ shapes.reshape(-1, shapes.shape[2])
+    motions = observed @ shapes.reshape(-1, shapes.shape[2])
     pulled = model.pulled_support(index)
     if pulled is None:
-        return ProbeMotions(own)
+        return ProbeMotions(motions)
     force = support_force(model.system, model.supports[pulled].triangles, model.springs)
     return ProbeMotions(
-        own, force, model.pulled_translations(index), model.supports[pulled].holding
+        motions, force, model.pulled_translations(index), model.supports[pulled].holding
     )

@@ -107,8 +107,8 @@ class ProbeResponse:
     ) -> Float[np.ndarray, "n_rows t"]:
         """`value`, from what is observed of the solution."""
         moved, force = self._moved(observed, poisson_ratio)
-        kept = moved.shape[1] - self.rows.changes
-        return self.rows.response(moved[:, :kept], force[:, :kept], poisson_ratio)
+        count = moved.shape[1] - self.rows.changes
+        return self.rows.response(moved[:, :count], force[:, :count], poisson_ratio)
 
     def _moved(
         self, observed: Float[np.ndarray, "rows c"], poisson_ratio: float
@@ -181,7 +181,9 @@ def reduced_responses(
     def response_of(probe: ObservationMatrix) -> ProbeResponse:
         projected = _projected(model, probe, blocks)
         for degree in _DEGREES:
-            series = _series(projected, [each[:, probe.columns] for each in weights(degree)])
+            series = _series(
+                projected, [column_weights[:, probe.columns] for column_weights in weights(degree)]
+            )
             if len(series) < degree:
                 break
         return _series_response(probe, series, poisson_range)
@@ -211,13 +213,14 @@ def spring_responses(
     SingularSystemError             the support does not hold the object
     NotConvergedError               the basis of the reduced model does not converge
     """
-    system, each = model.system, compliances(model.session) / model.system.traction_length
+    system = model.system
+    unit_compliances = compliances(model.session) / system.traction_length
     known_traction = _known_traction(model, springs)
-    changes, blocks = springs.compliance_derivatives(each), 1 + len(each)
+    changes, blocks = springs.compliance_derivatives(unit_compliances), 1 + len(unit_compliances)
     if settings.method == FitMethod.NELDER_MEAD:
 
         def exact(shear_modulus: float) -> list[ProbeResponse]:
-            compliance = springs.compliance(shear_modulus * each)
+            compliance = springs.compliance(shear_modulus * unit_compliances)
             right = model.right.on_springs(compliance, changes, known_traction)
 
             def solution(poisson_ratio: float) -> Float[np.ndarray, "k c"]:
@@ -234,7 +237,8 @@ def spring_responses(
 
     def reduced(shear_modulus: float) -> list[ProbeResponse]:
         reduced_model = make_spring_model(
-            centred.slope, factors, model.right, springs.compliance(shear_modulus * each), changes,
+            centred.slope, factors, model.right,
+            springs.compliance(shear_modulus * unit_compliances), changes,
             known_traction=known_traction, poisson_range=settings.poisson_range,
         )  # fmt: skip
         return reduced_responses(reduced_model, rows, settings.poisson_range, blocks=blocks)
@@ -329,7 +333,9 @@ def _series(
 ) -> Float[np.ndarray, "k n rows c"]:
     """Chebyshev coefficients of observations, as many as they need, from their values at as many
     points as there are weights."""
-    values = np.stack([(projected @ each.T[:, :, None])[..., 0] for each in weights])
+    values = np.stack(
+        [(projected @ column_weights.T[:, :, None])[..., 0] for column_weights in weights]
+    )
     degree = len(weights) - 1
     at_nodes = chebvander(chebpts1(degree + 1), degree)
     # Orthogonal at these points.

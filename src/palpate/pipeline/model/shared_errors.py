@@ -81,14 +81,14 @@ def shared_errors(
     nuisances += _tool_slip(model, index, response)
     if priors.tool_compliance > 0.0 and probing.tip_displacement is not None:
         at_points = np.zeros((response.rows.n_points, 3))
-        each = np.concatenate([at_points, probing.force[None]])
-        nuisances.append(tool_compliance(priors.tool_compliance, each))
+        forces = np.concatenate([at_points, probing.force[None]])
+        nuisances.append(tool_compliance(priors.tool_compliance, forces))
     if model.springs is not None:
         nuisances += filter(None, [compliance_error(model, response)])
     return tuple(nuisances)
 
 
-def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
+def pose_changes(model: ObjectModel, points: SurfacePoints) -> list[csr_array]:
     """Change of the displacements at points, from those of the vertices, with the pose of the mesh.
 
     Where the mesh is shifted by d relative to the points, its displacement is evaluated at x - d; a
@@ -97,7 +97,7 @@ def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
     Parameters
     ----------
     model : ObjectModel
-    place : SurfacePoints           of n points
+    points : SurfacePoints          of n points
 
     Returns
     -------
@@ -108,10 +108,10 @@ def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
     chosen = np.flatnonzero(stds)
     if not chosen.size:
         return []
-    nodes, count = model.system.surface.displacement, place.triangle.size
-    both = interpolation_matrix(nodes, *_beside(model, place))
+    nodes, count = model.system.surface.displacement, points.triangle.size
+    both = interpolation_matrix(nodes, *_beside(model, points))
     changes = both[: chosen.size * count] - both[chosen.size * count :]
-    at_points = interpolation_matrix(nodes, place.triangle, place.barycentric)
+    at_points = interpolation_matrix(nodes, points.triangle, points.barycentric)
     sparse = []
     for row, k in enumerate(chosen):
         change = kron(changes[row * count : (row + 1) * count], np.eye(3))
@@ -122,14 +122,14 @@ def pose_changes(model: ObjectModel, place: SurfacePoints) -> list[csr_array]:
 
 
 def pose_dips(
-    model: ObjectModel, place: SurfacePoints, columns: Int[np.ndarray, " c"]
+    model: ObjectModel, points: SurfacePoints, columns: Int[np.ndarray, " c"]
 ) -> Float[np.ndarray, "p 2 r c"]:
-    """The same change of what the vertices miss of the dips about contacts.
+    """Change with the pose of what vertices miss of the dips about contacts; see `pose_changes`.
 
     Parameters
     ----------
     model : ObjectModel
-    place : SurfacePoints           of n points
+    points : SurfacePoints          of n points
     columns : (c,) int              of the loads
 
     Returns
@@ -138,11 +138,11 @@ def pose_dips(
                                     for each of the p parameters
     """
     surface, stds = model.system.surface, _pose_stds(model.session)
-    chosen, count = np.flatnonzero(stds), 3 * place.triangle.size
-    missed = model.loads.missed_indentation(surface, columns, *_beside(model, place))
+    chosen, count = np.flatnonzero(stds), 3 * points.triangle.size
+    missed = model.loads.missed_indentation(surface, columns, *_beside(model, points))
     missed = missed.reshape(2, 2, chosen.size, count, -1)
     change = np.moveaxis(missed[:, 0] - missed[:, 1], 1, 0)
-    here = model.loads.missed_indentation(surface, columns, place.triangle, place.barycentric)
+    here = model.loads.missed_indentation(surface, columns, points.triangle, points.barycentric)
     for row, k in enumerate(chosen):
         if k >= 3:
             turned = _TURNS[k - 3] @ here.reshape(2, count // 3, 3, -1)
@@ -151,20 +151,20 @@ def pose_dips(
 
 
 def _pose_stds(session: Session) -> Float[np.ndarray, "6"]:
-    """Of three translations [m], then of three rotations [rad]."""
+    """Standard deviations of three translations [m], then of three rotations [rad]."""
     priors = session.errors
     return np.repeat([priors.pose_translation, priors.pose_rotation], 3)
 
 
 def _beside(
-    model: ObjectModel, place: SurfacePoints
+    model: ObjectModel, points: SurfacePoints
 ) -> tuple[Int[np.ndarray, " q"], Float[np.ndarray, "q 3"]]:
     """Triangles and barycentric coordinates of where points lie if the mesh is off by half a
     standard deviation of each of p poses one way, then the other; 2 p n points in all."""
     mesh, stds = model.session.mesh, _pose_stds(model.session)
     chosen = np.flatnonzero(stds)
-    modes = rigid_modes(place.position, mesh.vertices.mean(axis=0))[:, :, chosen] * stds[chosen]
-    corner = mesh.vertices[mesh.triangles[place.triangle]]
+    modes = rigid_modes(points.position, mesh.vertices.mean(axis=0))[:, :, chosen] * stds[chosen]
+    corner = mesh.vertices[mesh.triangles[points.triangle]]
     # From a shift to the change of barycentric coordinates; its normal component has no effect.
     inverse = np.linalg.pinv(
         np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], 2)
@@ -172,8 +172,8 @@ def _beside(
     two = -0.5 * np.einsum("nij,njk->kni", inverse, modes)
     half = np.concatenate([-two.sum(axis=2, keepdims=True), two], axis=2)
     # Central difference of the element's quadratic shape functions about the point.
-    sides = np.concatenate([place.barycentric + half, place.barycentric - half]).reshape(-1, 3)
-    return np.tile(place.triangle, 2 * chosen.size), sides
+    sides = np.concatenate([points.barycentric + half, points.barycentric - half]).reshape(-1, 3)
+    return np.tile(points.triangle, 2 * chosen.size), sides
 
 
 def force_gain(std: float, sensor: str = "") -> Nuisance:
@@ -278,7 +278,7 @@ def pose_error(
     def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:
         # Rows of a measured contact point follow those of the vertices.
         field = vertices(at.poisson_ratio)[: change[0].shape[1]]
-        moved = np.stack([each @ field for each in change], axis=2)
+        moved = np.stack([matrix @ field for matrix in change], axis=2)
         further = dips(at.poisson_ratio)
         moved[:, : further.shape[2]] += np.moveaxis(further, 0, 2)
         # The contact point moves with the tool, not with the mesh.
@@ -294,16 +294,16 @@ def pose_error(
         for axis in "xyz"
     )
     every = (*translations, *rotations)
-    return Nuisance(tuple(each for each in every if each.std > 0.0), effects)
+    return Nuisance(tuple(parameter for parameter in every if parameter.std > 0.0), effects)
 
 
 def _pose_dips(
-    model: ObjectModel, response: ProbeResponse, place: SurfacePoints
+    model: ObjectModel, response: ProbeResponse, points: SurfacePoints
 ) -> Callable[[float], Float[np.ndarray, "p r 4"]]:
     """`pose_dips` at a probing's points under its loads, as a function of Poisson's ratio."""
     rows = response.rows
-    shifted = pose_dips(model, place, rows.columns[: len(rows.columns) - rows.changes])
-    return lambda nu: np.stack([rows.of_loads(each, nu) for each in shifted])
+    shifted = pose_dips(model, points, rows.columns[: len(rows.columns) - rows.changes])
+    return lambda nu: np.stack([rows.of_loads(dips, nu) for dips in shifted])
 
 
 def contact_error(
@@ -382,14 +382,14 @@ def tool_slip(
         component = at.rows - 3 * count
         columns = np.zeros((len(at.rows), 2))
         columns[component >= 0] = tangents.T[component[component >= 0]]
-        return fixed_displacement(columns * [each.std for each in parameters], at)
+        return fixed_displacement(columns * [parameter.std for parameter in parameters], at)
 
     return Nuisance(parameters, effects)
 
 
 def tool_compliance(std: float, force: Points) -> Nuisance:
-    """What the arm, the tool and the base give under a force, which the tool's displacement holds
-    as well: one parameter for all probings.
+    """Compliance of arm, tool and base, whose deflection is part of the tool's displacement: one
+    parameter for all probings.
 
     Parameters
     ----------
@@ -474,17 +474,23 @@ def length_error(session: Session, strains: Float[np.ndarray, "m 3 3"] | None) -
 
 def _contact_errors(model: ObjectModel, index: int, response: ProbeResponse) -> list[Nuisance]:
     """Errors of one probing's contact, and of the mesh about it."""
-    offsets = [each.steps for each in model.loads.perturbations if each.probing == index]
+    offsets = [
+        perturbation.steps
+        for perturbation in model.loads.perturbations
+        if perturbation.probing == index
+    ]
     if not offsets:
         return []
     parameters = tuple(dict.fromkeys(parameter for steps in offsets for parameter in steps))
-    steps = np.array([[each.get(parameter, 0.0) for parameter in parameters] for each in offsets])
+    steps = np.array(
+        [[offset.get(parameter, 0.0) for parameter in parameters] for offset in offsets]
+    )
     count = response.rows.n_points
     return [contact_error(parameters, steps, response.change, count)]
 
 
 def _tool_slip(model: ObjectModel, index: int, response: ProbeResponse) -> list[Nuisance]:
-    """Slip of a tool whose displacement was measured, where it slides: by as much as it touches."""
+    """Slip of a tool that slides and whose displacement was measured: up to its contact radius."""
     probing = model.session.probings[index]
     tool, patch = probing.contact.tool, model.loads.patch_of[index]
     if probing.tip_displacement is None or tool is None or tool.friction != SLIDES or patch < 0:
@@ -531,8 +537,8 @@ def _space_stretch(strains: Float[np.ndarray, "p 3 3"], points: int) -> Nuisance
         # Components that were not measured are taken as zero.
         whole = np.zeros((3 * points + 3, *at.value.shape[1:]))
         whole[at.rows] = at.value
-        each = whole.reshape(-1, 3, *whole.shape[1:])
-        moved = np.einsum("pij,njtc->nitcp", strains, each)
+        vectors = whole.reshape(-1, 3, *whole.shape[1:])
+        moved = np.einsum("pij,njtc->nitcp", strains, vectors)
         moved[points:] = 0.0
         return moved.reshape(len(whole), *moved.shape[2:])[at.rows]
 

@@ -28,14 +28,14 @@ class MaterialConstants:
 
 
 def estimated_stiffening(result: FitResult) -> Constant:
-    """The stiffening that a result says; 0 before it was looked for."""
+    """Stiffening as a result estimates it; 0 before it was looked for."""
     minimum = result.minimum
-    names = [each.name for each in minimum.problem.shared]
+    names = [parameter.name for parameter in minimum.problem.shared]
     if STIFFENS not in names:
         return Constant(0.0, 0.0, (0.0, 0.0))
-    place = minimum.problem.layout.errors.start + names.index(STIFFENS)
+    index = minimum.problem.layout.errors.start + names.index(STIFFENS)
     value, std = (
-        STIFFENING_STD * float(each[place]) for each in (minimum.theta, minimum.normal.std)
+        STIFFENING_STD * float(values[index]) for values in (minimum.theta, minimum.normal.std)
     )
     low, high = value - HALF_95 * std, value + HALF_95 * std
     return Constant(value, std, (min(max(low, 0.0), value), max(high, 0.0)))
@@ -61,7 +61,7 @@ def damped(
 
 
 def is_stiffening(stiffening: Constant) -> bool:
-    """Whether an estimate shows it.
+    """Whether an estimate shows that the material stiffens.
 
     Parameters
     ----------

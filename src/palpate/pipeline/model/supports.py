@@ -282,7 +282,7 @@ def sliding_motion(session: Session) -> MovingSupport | None:
     -------
     MovingSupport or None           with the number of the first roller; None: there are none
     """
-    rollers = [k for k, each in enumerate(session.supports) if each.directions is not None]
+    rollers = [k for k, support in enumerate(session.supports) if support.directions is not None]
     if not rollers:
         return None
     mesh, held = session.mesh, session.held_triangles
@@ -332,7 +332,7 @@ def require_balance(session: Session, sliding: MovingSupport | None) -> None:
 
 
 def check_balance(
-    sliding: MovingSupport | None, forces: Sequence[tuple[Vector3, Vector3]], place: str
+    sliding: MovingSupport | None, forces: Sequence[tuple[Vector3, Vector3]], prefix: str
 ) -> None:
     """Refuse forces with a resultant along a motion that no support holds.
 
@@ -340,7 +340,7 @@ def check_balance(
     ----------
     sliding : MovingSupport or None     of `sliding_motion`
     forces : sequence of (point, force)     [m], [N]
-    place : str                     start of the message
+    prefix : str                    start of the message
 
     Raises
     ------
@@ -360,8 +360,8 @@ def check_balance(
             f"shifts the object along {axis}" if worst < 3 else f"turns the object about {axis}"
         )
         raise InputError(
-            f"{place}: {pushed[worst]:.3g} N of its force {motion}, which no support holds (support"
-            f" {sliding.number} is a roller): it would slide away; hold that direction too"
+            f"{prefix}: {pushed[worst]:.3g} N of its force {motion}, which no support holds"
+            f" (support {sliding.number} is a roller): it would slide away; hold that direction too"
             " (directions in [support]), or correct the force"
         )
 
@@ -520,5 +520,5 @@ def _total_force(mesh: TriangleMesh, load: Load) -> Vector3:
     if load.force is not None:
         return load.force
     # A pressure always acts over given triangles.
-    pressed = area_vectors(mesh)[load.contact.triangles].sum(axis=0)
-    return -float(load.pressure or 0.0) * pressed
+    area = area_vectors(mesh)[load.contact.triangles].sum(axis=0)
+    return -float(load.pressure or 0.0) * area

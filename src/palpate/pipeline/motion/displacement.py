@@ -44,7 +44,7 @@ _METHOD = JointFlow()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbingMotion:
-    """What the pictures of one probing gave, whatever was measured along with it.
+    """Motion measured from the pictures of one probing; it does not depend on other probings.
 
     Attributes
     ----------
@@ -287,13 +287,13 @@ def kept_motion(
         _, changed, sums = folder_changes(folder)
         if MOTION_FILE in changed or MOTION_FILE not in sums:
             return {}
-        with stored_arrays(path, "") as kept:
-            form, used = (str(kept[name]) for name in ("format", "pose"))
+        with stored_arrays(path, "") as arrays:
+            form, used = (str(arrays[name]) for name in ("format", "pose"))
             if form != MOTION_FORMAT or pose not in (None, used):
                 return {}
-            places = {str(key): k for k, key in enumerate(kept["keys"])}
+            places = {str(key): k for k, key in enumerate(arrays["keys"])}
             return {
-                name: _kept_probing(session, name, kept, places[key])
+                name: _kept_probing(session, name, arrays, places[key])
                 for name, key in kept_motion_keys(session, cast(PoseChoice, used)).items()
                 if key in places
             }
@@ -365,36 +365,36 @@ def _average_parts(average: SurfaceAverage, k: int) -> dict[str, np.ndarray]:
     }
 
 
-def _kept_average(kept: dict[str, np.ndarray], k: int) -> SurfaceAverage | None:
+def _kept_average(arrays: dict[str, np.ndarray], k: int) -> SurfaceAverage | None:
     """The window average from the arrays of `_average_parts`, if there are any."""
-    if f"average points {k}" not in kept:
+    if f"average points {k}" not in arrays:
         return None
     points, weights, columns, rows = (
-        kept[f"average {part} {k}"] for part in ("points", "weights", "columns", "rows")
+        arrays[f"average {part} {k}"] for part in ("points", "weights", "columns", "rows")
     )
     shape = len(rows) - 1, 3 * len(points)
     return SurfaceAverage(points, csr_array((weights, columns, rows), shape=shape))
 
 
 def _kept_probing(
-    session: Session, name: str, kept: dict[str, np.ndarray], k: int
+    session: Session, name: str, arrays: dict[str, np.ndarray], k: int
 ) -> ProbingMotion:
     """What the pictures of a probing gave, from the arrays with a number."""
-    rows = kept[f"vertex {k}"]
+    rows = arrays[f"vertex {k}"]
     points = session.mesh.vertices[rows]
     field = DisplacementField(
         points=points,
-        displacement=kept[f"displacement {k}"],
-        std=kept[f"std {k}"],
+        displacement=arrays[f"displacement {k}"],
+        std=arrays[f"std {k}"],
         vertex=rows,
         surface=closest_points(session.mesh, points),
         source=f"images of {name}",
-        covariance=kept.get(f"covariance {k}"),
-        correlation=PointCorrelation(kept[f"pairs {k}"], kept[f"correlation {k}"]),
-        average=_kept_average(kept, k),
+        covariance=arrays.get(f"covariance {k}"),
+        correlation=PointCorrelation(arrays[f"pairs {k}"], arrays[f"correlation {k}"]),
+        average=_kept_average(arrays, k),
     )
     notes = {
-        part.name: tuple(str(note) for note in kept[f"{part.name} notes {k}"])
+        part.name: tuple(str(note) for note in arrays[f"{part.name} notes {k}"])
         for part in fields(MotionNotes)
     }
     return ProbingMotion(field, MotionNotes(**notes))

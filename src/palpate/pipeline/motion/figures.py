@@ -226,9 +226,10 @@ def rejection_note(counts: Sequence[Rejections]) -> str:
     -------
     str
     """
-    seen, lost = (sum(getattr(each, name) for each in counts) for name in ("seen", "lost"))
+    seen, lost = (sum(getattr(count, name) for count in counts) for name in ("seen", "lost"))
     tool, oblique, view = (
-        sum(getattr(each, name) for each in counts) for name in ("near_tool", "oblique", "in_view")
+        sum(getattr(count, name) for count in counts)
+        for name in ("near_tool", "oblique", "in_view")
     )
     text = (
         f"{lost} of {seen} vertices that a camera saw were not measured"

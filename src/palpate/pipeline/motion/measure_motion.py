@@ -67,7 +67,7 @@ class MotionNotes:
     order: tuple[str, ...] = ()
 
     def mapped(self, change: Callable[[str], str]) -> "MotionNotes":
-        """With every note changed.
+        """Notes with a function applied to each.
 
         Parameters
         ----------
@@ -158,7 +158,9 @@ def measured_motions(
     sequences = picture_sequences(session)
     progress("cameras", 0.0)
     rig = session_rig(session)
-    shortest = min((side for one in rig.cameras for side in one.size or ()), default=method.subset)
+    shortest = min(
+        (side for camera in rig.cameras for side in camera.size or ()), default=method.subset
+    )
     if method.subset > shortest:
         raise InputError(
             f"subset is {method.subset} px; the smallest pictures are {shortest} px high or wide,"
@@ -239,7 +241,7 @@ class SessionNotes:
         return _each_once(self.pictures, self.texture, self.order)
 
     def extended(self, first: str, notes: MotionNotes) -> "SessionNotes":
-        """With the notes on one more motion or probing.
+        """Notes with those on one more motion or probing.
 
         Parameters
         ----------
@@ -273,10 +275,10 @@ def joined_notes(notes: Iterable[MotionNotes]) -> MotionNotes:
     """
     every = list(notes)
     return MotionNotes(
-        start=_each_once(*(one.start for one in every)),
-        pictures=_each_once(*(one.pictures for one in every)),
-        texture=next((one.texture for one in every if one.texture), ()),
-        order=_each_once(*(one.order for one in every)),
+        start=_each_once(*(motion_notes.start for motion_notes in every)),
+        pictures=_each_once(*(motion_notes.pictures for motion_notes in every)),
+        texture=next((motion_notes.texture for motion_notes in every if motion_notes.texture), ()),
+        order=_each_once(*(motion_notes.order for motion_notes in every)),
     )
 
 

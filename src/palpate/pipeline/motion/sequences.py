@@ -52,7 +52,7 @@ _MIN_MOVE = 0.002
 
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """An instant of which there are pictures.
+    """An instant with pictures.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ def motion_names(session: Session) -> list[str]:
     ------
     InputError                      no images
     """
-    return [instant.name for each in picture_sequences(session) for instant in each.later]
+    return [instant.name for sequence in picture_sequences(session) for instant in sequence.later]
 
 
 def motion_keys(session: Session, method: FlowMethod, pose: PoseChoice) -> dict[str | None, str]:
@@ -160,14 +160,20 @@ def motion_keys(session: Session, method: FlowMethod, pose: PoseChoice) -> dict[
     # Notes name the rig's file; a session that was moved as a whole is the same.
     rig = replace(rig, source=os.path.relpath(rig.source, folder))
     common = content_digest((rig, session.mesh, method, pose))
-    patterns = {one.pattern for each in sequences for one in (each.first, *each.later)}
+    patterns = {
+        instant.pattern for sequence in sequences for instant in (sequence.first, *sequence.later)
+    }
     # Once for each pattern: the pictures at rest may be those of all probings.
     sums = {pattern: _picture_sums(rig, pattern, folder) for pattern in patterns}
     return {
-        each.probing: content_digest(
-            (common, each, [sums[one.pattern] for one in (each.first, *each.later)])
+        sequence.probing: content_digest(
+            (
+                common,
+                sequence,
+                [sums[instant.pattern] for instant in (sequence.first, *sequence.later)],
+            )
         )
-        for each in sequences
+        for sequence in sequences
     }
 
 
@@ -190,12 +196,12 @@ def picture_files(session: Session) -> dict[str | None, tuple[Path, ...]]:
     """
     rig, folder = session_rig(session), session.path.parent
     return {
-        each.probing: tuple(
-            picture_path(camera, one.pattern, folder)
-            for one in (each.first, *each.later)
+        sequence.probing: tuple(
+            picture_path(camera, instant.pattern, folder)
+            for instant in (sequence.first, *sequence.later)
             for camera in rig.cameras
         )
-        for each in picture_sequences(session)
+        for sequence in picture_sequences(session)
     }
 
 

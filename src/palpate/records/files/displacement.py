@@ -149,13 +149,13 @@ def _without_repeated_rows(
     _, first = np.unique(np.nan_to_num(values, nan=np.inf), axis=0, return_index=True)
     if len(first) == len(values):
         return table, values, ()
-    kept = np.sort(first)
-    lines, rows = ([column[i] for i in kept] for column in (table.numbers, table.rows))
+    unique = np.sort(first)
+    lines, rows = ([column[i] for i in unique] for column in (table.numbers, table.rows))
     note = (
-        f"{table.path}: {len(values) - len(kept)} of {len(values)} rows repeat another one, number"
-        " by number, and were left out: a copy is no measurement of its own."
+        f"{table.path}: {len(values) - len(unique)} of {len(values)} rows repeat another one,"
+        " number by number, and were left out: a copy is no measurement of its own."
     )
-    return replace(table, numbers=tuple(lines), rows=tuple(rows)), values[kept], (note,)
+    return replace(table, numbers=tuple(lines), rows=tuple(rows)), values[unique], (note,)
 
 
 def _check_header(table: TextTable) -> tuple[str, ...]:

@@ -124,10 +124,10 @@ def _read_record(table: TomlTable, kind: type[T]) -> T:
     table = replace(table, values=_EARLIER | table.values)
     hints = get_type_hints(kind)
     values: dict[str, Any] = {}
-    for each in fields(kind):  # type: ignore[arg-type]
-        needed = each.default is MISSING and each.default_factory is MISSING
-        if needed or table.values.get(each.name) is not None:
-            values[each.name] = _read_value(table, each.name, hints[each.name])
+    for item in fields(kind):  # type: ignore[arg-type]
+        needed = item.default is MISSING and item.default_factory is MISSING
+        if needed or table.values.get(item.name) is not None:
+            values[item.name] = _read_value(table, item.name, hints[item.name])
     if kind is Constant:
         values["ci95"] = _open_interval(**values)
     with table.error_context():
@@ -147,7 +147,7 @@ def _read_value(table: TomlTable, key: str, hint: Any) -> Any:
                 inner.fail(name, f"is {value:g}; must not be negative")
         return values
     if kind is tuple and is_dataclass(parts[0]):
-        return tuple(_read_record(each, parts[0]) for each in table.tables(key))  # type: ignore[arg-type]
+        return tuple(_read_record(item, parts[0]) for item in table.tables(key))  # type: ignore[arg-type]
     if kind is tuple and parts[0] is float:
         must = f"be {'two' if len(parts) == 2 else 'three'} numbers in brackets"
         fits = is_list_of(object)

@@ -142,8 +142,8 @@ def _contact(contact: TomlTable, body: HeldObject) -> Contact:
 
 
 def _tool(contact: TomlTable, metres: float, force: Vector3) -> Tool:
-    said = contact.optional("friction", lambda key: contact.choice(key, tuple(FRICTIONS)))
-    friction = FRICTIONS[said or "slides"]
+    stated = contact.optional("friction", lambda key: contact.choice(key, tuple(FRICTIONS)))
+    friction = FRICTIONS[stated or "slides"]
     shape = contact.choice("tool", tuple(TOOLS))
     kind = TOOLS[shape]
     if kind is ConvexMesh:
@@ -158,7 +158,7 @@ def _tool(contact: TomlTable, metres: float, force: Vector3) -> Tool:
         ),
         "angle": contact.optional("tool_angle", lambda key: contact.quantity(key, ANGLE_UNITS)),
     }
-    wanted = {each.name for each in fields(kind)}
+    wanted = {item.name for item in fields(kind)}
     for name, size in sizes.items():
         if size is None and name in wanted:
             contact.fail(f"tool_{name}", f"is missing; a tool '{shape}' needs it")

@@ -134,7 +134,7 @@ def parts_folder(folder: Path) -> Path:
 
 
 def record_inputs(folder: Path, files: Iterable[Path]) -> None:
-    """Record the checksums of a result's input files, so that changes can be told.
+    """Record the checksums of a result's input files, so that changes can be detected.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ _FRAME_BYTES = 3.0 * 3 * 8
 
 
 def read_series(
-    table: TomlTable, body: HeldObject, force: Vector3, own: DisplacementField | None
+    table: TomlTable, body: HeldObject, force: Vector3, measured: DisplacementField | None
 ) -> tuple[Series | None, tuple[str, ...]]:
     """The series of a probing, if its table names one, with notes.
 
@@ -43,7 +43,8 @@ def read_series(
                                     of its own displacement; by default the last instant
     body : HeldObject
     force : (3,) float [N]          of the probing
-    own : DisplacementField or None its own displacement, whose points those of all frames are
+    measured : DisplacementField or None
+                                    displacement of the probing; all frames are of its points
 
     Returns
     -------
@@ -81,7 +82,7 @@ def read_series(
             int((~np.isfinite(np.column_stack([time, forces]))).any(axis=1).argmax())
         ]
         raise RecordError(f"{path}: line {line}: t, fx, fy and fz must be numbers in every row")
-    instant, frames = _frames(rows, columns["displacement"], body, own)
+    instant, frames = _frames(rows, columns["displacement"], body, measured)
     reference = _reference(table, time)
     length = float(np.linalg.norm(force))
     try:
@@ -153,22 +154,23 @@ def _reference(table: TomlTable, time: Float[np.ndarray, " n"]) -> int:
 
 
 def _frames(
-    rows: TextTable, column: Column | None, body: HeldObject, own: DisplacementField | None
+    rows: TextTable, column: Column | None, body: HeldObject, measured: DisplacementField | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Instants with a displacement file, and the displacements of the probing's own points."""
     cells = _frame_names(rows, column)
     named = [k for k, cell in enumerate(cells) if cell]
-    if named and own is None:
+    if named and measured is None:
         raise RecordError(
             f"{rows.path}: names displacement files, and the probing has no displacement of its"
             " own; name the file of the instant measured_at as its displacement"
         )
-    if own is None or not named:
+    if measured is None or not named:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 0, 3))
     check_memory_for(
-        f"{rows.path}: {len(named)} frames of {len(own.points)} points",
-        len(named) * len(own.points) * _FRAME_BYTES, "name fewer frames, or measure fewer points",
-    )  # fmt: skip
+        f"{rows.path}: {len(named)} frames of {len(measured.points)} points",
+        len(named) * len(measured.points) * _FRAME_BYTES,
+        "name fewer frames, or measure fewer points",
+    )
     same = _SAME * bounding_diagonal(body.mesh)
     frames = []
     for k in named:
@@ -177,12 +179,12 @@ def _frames(
             raise RecordError(
                 f"{rows.path}: line {rows.numbers[k]}: no such file: {path}{nearest_file(path)}"
             )
-        frames.append(_frame(path, body.metres_per_unit, own, same))
+        frames.append(_frame(path, body.metres_per_unit, measured, same))
     return np.array(named, dtype=np.int64), np.stack(frames)
 
 
 def _frame(
-    path: Path, metres: float, own: DisplacementField, same: float
+    path: Path, metres: float, measured: DisplacementField, same: float
 ) -> Float[np.ndarray, "p 3"]:
     """Displacements of the probing's own points in one file; NaN where it has none of them."""
     table = read_text_table(path, cure=f"give a header {','.join(_FRAME)} and a row per point")
@@ -194,11 +196,11 @@ def _frame(
     values = metres * table.values(columns, finite=True)
     values = values[np.isfinite(values[:, :3]).all(axis=1)]
     # Of a point without a neighbour there is none in the row after the last.
-    row = cKDTree(values[:, :3]).query(own.points, distance_upper_bound=same)[1]
+    row = cKDTree(values[:, :3]).query(measured.points, distance_upper_bound=same)[1]
     frame = np.vstack([values[:, 3:], np.full((1, 3), np.nan)])[row]
     if not np.isfinite(frame).any():
         raise RecordError(
-            f"{path}: none of its points is measured and one of {own.source}; the frames of a"
+            f"{path}: none of its points is measured and one of {measured.source}; the frames of a"
             " series hold the same points of the surface at rest"
         )
     return frame

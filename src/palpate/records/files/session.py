@@ -316,8 +316,8 @@ def _probing(
             series=series,
         )
         if observations:
-            for each in (contact, *(load.contact for load in loads)):
-                check_contact(mesh, held, each)
+            for touched in (contact, *(load.contact for load in loads)):
+                check_contact(mesh, held, touched)
             # With moving supports or additional loads the displacement is not due to this force.
             if not loads and len(still) == len(held):
                 check_load(mesh, probing)

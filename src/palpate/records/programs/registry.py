@@ -54,7 +54,7 @@ def import_kinds() -> dict[str, Program]:
 
 
 def kinds_text() -> str:
-    """Those names as text, with the suffixes of their files."""
+    """Names of these programs as text, with the suffixes of their files."""
     return ", ".join(f"{' or '.join(p.kinds)} ({p.results})" for p in PROGRAMS if p.kinds)
 
 

@@ -149,9 +149,9 @@ class TextTable:
         """
         units = {column.unit or None for column in wanted}
         if len(units) > 1:
-            each = ", ".join(f"{column.name} [{column.unit or '?'}]" for column in wanted)
+            names = ", ".join(f"{column.name} [{column.unit or '?'}]" for column in wanted)
             raise RecordError(
-                f"{self.path}: its columns have different units ({each}); export all in one"
+                f"{self.path}: its columns have different units ({names}); export all in one"
             )
         return units.pop()
 
@@ -330,18 +330,18 @@ def make_table(
     RecordError                     no rows; the header again among the rows
     """
     head = lines[first - 1].strip() if first else ""
-    kept = []
+    numbered = []
     for number, line in enumerate(lines[first:], start=first + 1):
         if line.strip() and line.strip() != head:
-            kept.append((number, line))
-        elif kept and line.strip():
+            numbered.append((number, line))
+        elif numbered and line.strip():
             raise RecordError(
                 f"{path}: line {number}: the header again, so these are several measurements one"
                 " after the other; give each a file of its own"
             )
-    if not kept:
+    if not numbered:
         raise RecordError(f"{path}: has a header and no rows; {cure}")
-    numbers, rows = zip(*kept, strict=True)
+    numbers, rows = zip(*numbered, strict=True)
     if delimiter != "," and any("," in row for row in rows):
         rows = tuple(row.replace(",", ".") for row in rows)
     columns = tuple(map(Column, headings, range(len(headings))))

@@ -82,7 +82,7 @@ def _fault(name: str) -> str:
 
 
 def path_below(folder: Path, name: str) -> Path:
-    """The path of a file that somebody else named, if it is below a folder.
+    """The path of a file named by untrusted input, if it is below a folder.
 
     Parameters
     ----------

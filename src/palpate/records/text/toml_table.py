@@ -59,8 +59,8 @@ class TomlTable:
         ------
         RecordError                     always
         """
-        place = f"{self.name} {key}".strip()
-        raise RecordError(": ".join(filter(None, (str(self.file), place, what))))
+        key_path = f"{self.name} {key}".strip()
+        raise RecordError(": ".join(filter(None, (str(self.file), key_path, what))))
 
     def check_keys(self, allowed: Sequence[str]) -> None:
         """Refuse unknown keys; the error suggests the nearest allowed one.
@@ -166,8 +166,8 @@ class TomlTable:
         except RecordError:
             raise
         except InputError as error:
-            place = f"{self.file}: {self.name}" if self.name else f"{self.file}"
-            raise RecordError(f"{place}: {error}") from error
+            prefix = f"{self.file}: {self.name}" if self.name else f"{self.file}"
+            raise RecordError(f"{prefix}: {error}") from error
 
     def text(self, key: str) -> str:
         """A non-empty string."""

@@ -280,8 +280,8 @@ def _flow_start(
         return state.motion
     was = scene.point + state.motion[:, 0]
     known = np.isfinite(was).all(axis=1)
-    place = np.where(known[:, None], was, scene.point)
-    old = np.stack([project(camera, place) for camera in scene.rig.cameras])
+    point = np.where(known[:, None], was, scene.point)
+    old = np.stack([project(camera, point) for camera in scene.rig.cameras])
     if state.flow is not None:
         last = is_valid(state.flow)
         marks = (old[c][scene.seen[:, c] & last] for c in range(len(old)))
@@ -299,14 +299,14 @@ def _flow_start(
 
 
 def _hardly_moved(
-    before: Float[np.ndarray, "_ _"], now: Float[np.ndarray, "_ _"], place: Float[np.ndarray, "k 2"]
+    before: Float[np.ndarray, "_ _"], now: Float[np.ndarray, "_ _"], pixel: Float[np.ndarray, "k 2"]
 ) -> bool:
     """Whether a match that starts where some windows of a picture were would find them all."""
-    if len(place) == 0:
+    if len(pixel) == 0:
         return False
     scale = 255.0 / max(float(before.max()), float(now.max()), 1.0)
     first, second = (cv2.convertScaleAbs(picture, alpha=scale) for picture in (before, now))
-    start = place.astype(np.float32)
+    start = pixel.astype(np.float32)
     after, tracked, _ = cv2.calcOpticalFlowPyrLK(first, second, start, start.copy(), maxLevel=2)
     far = np.linalg.norm(after - start, axis=1) > _NEAR_PX
     return bool((far | (tracked.ravel() == 0)).mean() < _FEW)

@@ -203,17 +203,19 @@ def _without_one_camera(
     again = np.flatnonzero(~_fits(match, noise) & (all_cameras.sum(axis=1) >= 3))
     best = np.full(len(all_cameras), np.inf)
     for c in range(all_cameras.shape[1]):
-        some = again[all_cameras[again, c]]
-        if len(some) == 0:
+        affected = again[all_cameras[again, c]]
+        if len(affected) == 0:
             continue
-        cameras = all_cameras[some].copy()
+        cameras = all_cameras[affected].copy()
         cameras[:, c] = False
-        tried = _refined(scene, rows[some], moved, start[some], cameras, noise, limits)
+        tried = _refined(scene, rows[affected], moved, start[affected], cameras, noise, limits)
         excess = _excess(tried, noise)
         with np.errstate(invalid="ignore"):
-            better = _fits(tried, noise) & (excess < best[some])
-        best[some[better]] = excess[better]
-        match = _replaced(match, tried._replace(outcome=np.where(better, 0, Outcome.LOST)), some)
+            better = _fits(tried, noise) & (excess < best[affected])
+        best[affected[better]] = excess[better]
+        match = _replaced(
+            match, tried._replace(outcome=np.where(better, 0, Outcome.LOST)), affected
+        )
     return match
 
 
@@ -371,14 +373,14 @@ def _matching_bias(match: Match, used: Bool[np.ndarray, "n c"]) -> float:
     does not reject points, but is part of every point's error.
     """
     count = used.sum(axis=1, keepdims=True)
-    some = used & (count >= 2) & (match.outcome == Outcome.VALID)[:, None]
-    if not some.any():
+    usable = used & (count >= 2) & (match.outcome == Outcome.VALID)[:, None]
+    if not usable.any():
         return _MATCHING_BIAS_PX
     # Of the 2 count residual components, the common displacement takes up three.
     fraction = np.broadcast_to(1.0 - 1.5 / np.maximum(count, 2), used.shape)
-    square = (match.own_step**2).mean(axis=2)[some] / fraction[some]
+    square = (match.own_step**2).mean(axis=2)[usable] / fraction[usable]
     # Variance from the median of chi-squared with two degrees of freedom, minus that of the noise.
-    extra = np.median(square) / np.log(2.0) - np.median(match.own_variance[some])
+    extra = np.median(square) / np.log(2.0) - np.median(match.own_variance[usable])
     return float(max(_MATCHING_BIAS_PX, np.sqrt(max(extra, 0.0))))
 
 

@@ -57,13 +57,13 @@ def equally_sharp(
                                         less sharp
     """
     variance_difference = np.zeros(len(now))
-    there, later = scene, spline_pictures(now, scene.smoothing)
+    prepared, later = scene, spline_pictures(now, scene.smoothing)
     known = np.flatnonzero(np.isfinite(start).all(axis=(1, 2)))
     rows = known[:: max(len(known) // _WINDOWS, 1)]
     if len(rows) < _MIN_WINDOWS:
-        return there, later
+        return prepared, later
     for _ in range(_ROUNDS):
-        seen = there, later
+        seen = prepared, later
         if scene.smoothing < _SMOOTHING:
             seen = _blurred(scene, now, variance_difference, _SMOOTHING)
         variance, error = _relative_variance(*seen, rows, start[rows])
@@ -71,8 +71,8 @@ def equally_sharp(
         if not sure.any():
             break
         variance_difference += np.where(sure, variance, 0.0)
-        there, later = _blurred(scene, now, variance_difference, scene.smoothing)
-    return there, later
+        prepared, later = _blurred(scene, now, variance_difference, scene.smoothing)
+    return prepared, later
 
 
 def _blurred(
@@ -122,7 +122,7 @@ def _window_variances(
     scene: Scene, later: SplinePicture, rows: Int[np.ndarray, " k"], match: Match, camera: int
 ) -> Float[np.ndarray, " w"]:
     """Relative blur variance in one camera, estimated from each window found [px^2]."""
-    kept = np.flatnonzero((match.outcome == Outcome.VALID) & match.cameras[:, camera])
+    valid = np.flatnonzero((match.outcome == Outcome.VALID) & match.cameras[:, camera])
     grey = scene.pictures[camera].grey
     instants = _CameraInstants(
         scene.packed[camera], grey, cv2.Laplacian(grey, cv2.CV_32F), scene.surface[camera],
@@ -130,10 +130,10 @@ def _window_variances(
         # A spline's Laplacian at the pixel centres has the Laplacian of its coefficients.
         cv2.Laplacian(later.coefficients, cv2.CV_32F),
     )  # fmt: skip
-    variance = np.empty(len(kept))
+    variance = np.empty(len(valid))
     in_threads(
-        _window_variances_kernel, len(kept), instants, surface_points(scene, rows[kept]),
-        match.motion[kept], scene.subset // 2, variance, min_items=_MIN_WINDOWS,
+        _window_variances_kernel, len(valid), instants, surface_points(scene, rows[valid]),
+        match.motion[valid], scene.subset // 2, variance, min_items=_MIN_WINDOWS,
     )  # fmt: skip
     return variance
 

@@ -128,8 +128,10 @@ def vertex_displacement(
         covariance[rows[good]] = field.covariance[good]
         count[rows] = field.count
         correlated = noise_correlation(scatter, field)
-        kept = good[correlated.pair].all(axis=1)
-        correlation = PointCorrelation(rows[correlated.pair[kept]], correlated.value[kept])
+        both_good = good[correlated.pair].all(axis=1)
+        correlation = PointCorrelation(
+            rows[correlated.pair[both_good]], correlated.value[both_good]
+        )
     return VertexDisplacement(displacement, covariance, count, correlation)
 
 
@@ -179,13 +181,13 @@ def _scatter(flow: RangeFlow, valid: Flags) -> Scatter:
 
 def _field_at(
     scatter: Scatter,
-    place: Float[np.ndarray, "k 3"],
+    position: Float[np.ndarray, "k 3"],
     normal: Float[np.ndarray, "k 3"],
     camera: Camera,
 ) -> LocalField:
     """Local field of the scatter at vertices."""
     reach = _REACH * _half_window(scatter, camera)
-    return local_field(scatter, place, _tangents(normal), reach=reach, min_points=_MIN_POINTS)
+    return local_field(scatter, position, _tangents(normal), reach=reach, min_points=_MIN_POINTS)
 
 
 def _half_window(scatter: Scatter, camera: Camera) -> float:
@@ -285,7 +287,7 @@ def _surface_average(
     if order == 1:
         curvature, _ = coefficient_operators(curvature_fits, 2, _SECOND_ORDER)
         moments = _moments(windows, mean, curvature_fits)
-        bend = sum(moment @ one for moment, one in zip(moments, curvature, strict=True))
+        bend = sum(moment @ operator for moment, operator in zip(moments, curvature, strict=True))
         weights = weights - weights @ bend
     weights = weights @ (mean @ kron(pieces.from_nodes, np.eye(3), format="bsr"))
     return _used(csr_array(weights), pieces.nodes)
@@ -307,8 +309,8 @@ def _cut(surface: TriangleMesh, side: float, points: Points) -> _Pieces:
     nodes = np.concatenate([surface.vertices, fitted.weights @ surface.vertices])
     middles = piece_middles(cuts)
     corners = element_points(nodes[fitted.element[near]], middles).reshape(-1, 6)
-    owner, place = np.repeat(near, cuts**2), np.tile(middles, (len(near), 1))
-    from_nodes = interpolation_matrix(free_nodes(fitted), owner, place)
+    owner, barycentric = np.repeat(near, cuts**2), np.tile(middles, (len(near), 1))
+    from_nodes = interpolation_matrix(free_nodes(fitted), owner, barycentric)
     # Area normals of parallelograms, twice those of the pieces.
     return _Pieces(corners[:, :3], 0.5 * corners[:, 3:] / cuts**2, nodes, from_nodes)
 
@@ -317,37 +319,37 @@ def _windows(
     subset: int, rig: Rig, pieces: _Pieces, points: LocalFits, half_window: PointScalars
 ) -> LocalFits:
     """Pieces of the surface within each point's windows, weighted by the pixels they cover."""
-    place, tangent = points.place, points.tangent
+    position, tangent = points.place, points.tangent
     normal = np.cross(tangent[:, 0], tangent[:, 1])
-    weight = csr_array((len(place), len(pieces.middle)))
+    weight = csr_array((len(position), len(pieces.middle)))
     for camera in rig.cameras:
-        weight += _in_windows(camera, subset, place, normal, pieces)
+        weight += _in_windows(camera, subset, position, normal, pieces)
     pair = weight.tocoo()
     first, second = pair.coords
-    distance = np.linalg.norm(pieces.middle[second] - place[first], axis=1)
+    distance = np.linalg.norm(pieces.middle[second] - position[first], axis=1)
     near = np.flatnonzero(distance < _MAX_DISTANCE * half_window[first])
     near = near[np.lexsort((second[near], first[near]))]
     return LocalFits(
-        place, tangent, half_window, pieces.middle, first[near], second[near], pair.data[near]
+        position, tangent, half_window, pieces.middle, first[near], second[near], pair.data[near]
     )
 
 
-def _cosine(camera: Camera, place: Points, normal: Points) -> Float[np.ndarray, " n"]:
+def _cosine(camera: Camera, position: Points, normal: Points) -> Float[np.ndarray, " n"]:
     """Cosine of the angle between the surface's normal and the direction to a camera."""
-    toward = camera_centre(camera) - place
+    toward = camera_centre(camera) - position
     size = np.linalg.norm(toward, axis=1) * np.linalg.norm(normal, axis=1)
     return np.einsum("ni,ni->n", toward, normal) / size
 
 
 def _in_windows(
-    camera: Camera, subset: int, place: Points, normal: Points, pieces: _Pieces
+    camera: Camera, subset: int, position: Points, normal: Points, pieces: _Pieces
 ) -> csr_array:
     """Number of pixels that pieces cover in one camera's windows around the points it sees."""
     cosine = _cosine(camera, pieces.middle, pieces.area)
-    pixel, centre = project(camera, pieces.middle), project(camera, place)
+    pixel, centre = project(camera, pieces.middle), project(camera, position)
     # NaN behind the camera and outside the valid range of its lens model.
     shown = np.flatnonzero((cosine > _MIN_SIDE_COSINE) & np.isfinite(pixel).all(axis=1))
-    faces = _cosine(camera, place, normal) > _MIN_SIDE_COSINE
+    faces = _cosine(camera, position, normal) > _MIN_SIDE_COSINE
     seen = np.flatnonzero(faces & np.isfinite(centre).all(axis=1))
     middle, pixel, centre = pieces.middle[shown], pixel[shown], centre[seen]
     cover = cosine[shown] * np.linalg.norm(pieces.area[shown], axis=1)
@@ -366,7 +368,7 @@ def _in_windows(
     first, second = first[counts], second[counts]
     return csr_array(
         (fraction[counts] * cover[second], (seen[first], shown[second])),
-        shape=(len(place), len(pieces.middle)),
+        shape=(len(position), len(pieces.middle)),
     )
 
 
@@ -388,18 +390,18 @@ def _used(weights: csr_array, points: Points) -> SurfaceAverage:
     blocks = (weights @ np.tile(np.eye(3), (len(points), 1))).reshape(-1, 3, 3)
     whole = np.abs(blocks - np.eye(3)).max(axis=(1, 2)) < _ROUNDING
     whole &= abs(weights).sum(axis=1).reshape(-1, 3).max(axis=1) < _MAX_WEIGHT
-    kept = csr_array(diags_array(np.repeat(whole.astype(np.float64), 3)) @ weights)
-    kept.eliminate_zeros()
+    reliable = csr_array(diags_array(np.repeat(whole.astype(np.float64), 3)) @ weights)
+    reliable.eliminate_zeros()
     used = np.zeros(3 * len(points), dtype=bool)
-    used[kept.indices] = True
+    used[reliable.indices] = True
     counts = used.reshape(-1, 3).any(axis=1)
     columns = np.flatnonzero(np.repeat(counts, 3))
-    return SurfaceAverage(points[counts], csr_array(kept[:, columns]))
+    return SurfaceAverage(points[counts], csr_array(reliable[:, columns]))
 
 
 def local_fits(
     scatter: Scatter,
-    place: Float[np.ndarray, "n 3"],
+    position: Float[np.ndarray, "n 3"],
     tangent: Float[np.ndarray, "n 2 3"],
     *,
     reach: float,
@@ -410,21 +412,21 @@ def local_fits(
     Parameters
     ----------
     scatter : Scatter
-    place, tangent, reach, min_points   as `local_field`
+    position, tangent, reach, min_points   as `local_field`
 
     Returns
     -------
     LocalFits
     """
-    nearest, radius = nearest_within(scatter.point, place, reach, min_points)
+    nearest, radius = nearest_within(scatter.point, position, reach, min_points)
     first, column = np.nonzero(nearest >= 0)
     second = nearest[first, column]
-    away = np.linalg.norm(scatter.point[second] - place[first], axis=1) / radius[first]
+    away = np.linalg.norm(scatter.point[second] - position[first], axis=1) / radius[first]
     trace = np.trace(scatter.covariance - scatter.bias, axis1=1, axis2=2)
     # Without a variance nothing is known, e.g. of windows without contrast.
     certainty = np.divide(1.0, trace, out=np.zeros_like(trace), where=trace > 0.0)
     weight = np.maximum(1.0 - away**2, 0.0) ** 2 * certainty[second]
-    return LocalFits(place, tangent, radius, scatter.point, first, second, weight)
+    return LocalFits(position, tangent, radius, scatter.point, first, second, weight)
 
 
 def coefficient_operators(

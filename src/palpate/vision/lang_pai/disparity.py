@@ -103,11 +103,11 @@ def disparity_map(
         _match_rows, rows, stack, views.along, views.ratio, views.offset, trials, disparity, score,
         min_items=_BAND,
     )  # fmt: skip
-    kept = np.isfinite(disparity)
+    mutual = np.isfinite(disparity)
     for i in range(1, len(pictures)):
         shift = views.offset[i] + views.ratio[i] * disparity
-        kept &= _is_mutual(disparity, score, shift, int(views.along[i]), abs(views.ratio[i]))
-    return np.where(kept, disparity, np.nan)
+        mutual &= _is_mutual(disparity, score, shift, int(views.along[i]), abs(views.ratio[i]))
+    return np.where(mutual, disparity, np.nan)
 
 
 def _trials(views: Views, limits: tuple[float, float]) -> Float[np.ndarray, " t"]:
@@ -140,7 +140,7 @@ def _fill_scores(pictures, along, ratio, offset, trials, top, count, score):
     other cameras."""
     columns = pictures.shape[2]
     here = pictures[0, top : top + count + 2 * _HALF]
-    there = np.empty_like(here)
+    shifted = np.empty_like(here)
     mean, norm, total, square, product = np.empty((5, count, columns - 2 * _HALF))
     down = np.empty((3, columns))
     _sum_windows(here, here, down, mean, norm, product)
@@ -153,8 +153,8 @@ def _fill_scores(pictures, along, ratio, offset, trials, top, count, score):
     score[:] = 0.0
     for t in range(len(trials)):
         for c in range(1, len(pictures)):
-            _fill_shifted(pictures[c], top, offset[c] + ratio[c] * trials[t], along[c], there)
-            _sum_windows(there, here, down, total, square, product)
+            _fill_shifted(pictures[c], top, offset[c] + ratio[c] * trials[t], along[c], shifted)
+            _sum_windows(shifted, here, down, total, square, product)
             for y in range(count):
                 for x in range(columns - 2 * _HALF):
                     squares = square[y, x] - total[y, x] * total[y, x] / _PIXELS
@@ -219,23 +219,23 @@ def _refine_maxima(score, trials, disparity, best):
     """Disparity and score of each pixel's highest interior maximum in a row, where unambiguous."""
     count, columns = score.shape
     for x in range(columns):
-        highest, place = -np.inf, 0
+        highest, peak = -np.inf, 0
         for t in range(1, count - 1):
             value = score[t, x]
             # Comparisons with NaN are false.
             is_maximum = value > score[t - 1, x] and value >= score[t + 1, x] and value > 0.0
             if is_maximum and value > highest:
-                highest, place = value, t
-        if place == 0 or score[0, x] > highest or score[count - 1, x] > highest:
+                highest, peak = value, t
+        if peak == 0 or score[0, x] > highest or score[count - 1, x] > highest:
             continue
         is_alone = True
         for t in range(count):
             is_rival = score[t, x] > _MAX_RIVAL * highest
-            is_alone &= not (is_rival and abs(t - place) > _SAME_MAXIMUM)
+            is_alone &= not (is_rival and abs(t - peak) > _SAME_MAXIMUM)
         if is_alone:
-            before, after = score[place - 1, x], score[place + 1, x]
+            before, after = score[peak - 1, x], score[peak + 1, x]
             curvature = before - 2.0 * highest + after
-            disparity[x] = trials[place] + 0.5 * (before - after) / curvature
+            disparity[x] = trials[peak] + 0.5 * (before - after) / curvature
             best[x] = highest
 
 

@@ -106,14 +106,14 @@ def vote(
         np.zeros(n, dtype=np.int64),
         np.empty(n, dtype=np.int64),
     )
-    shifts, half = (views.along, views.ratio, views.offset), subset // 2
+    geometry, half = (views.along, views.ratio, views.offset), subset // 2
     scale = np.full(after.pictures.shape, np.nan)
     in_threads(
-        _fill_scales, len(after.disparity), after.pictures, after.disparity, *shifts, half, scale
+        _fill_scales, len(after.disparity), after.pictures, after.disparity, *geometry, half, scale
     )
     in_threads(
         _vote_range, n, before.pictures, after.pictures, before.disparity, after.disparity, scale,
-        *shifts, half, search // 2,
+        *geometry, half, search // 2,
         votes.pixel, votes.score, votes.distance, votes.agreed, votes.outcome,
     )  # fmt: skip
     return votes

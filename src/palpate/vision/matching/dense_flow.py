@@ -82,13 +82,13 @@ class DenseStart:
     trusted: Bool[np.ndarray, "rows columns"]
 
     def at(
-        self, place: Float[np.ndarray, "n 2"]
+        self, point: Float[np.ndarray, "n 2"]
     ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
         """Flow and its trust flag at sub-pixel places, interpolated bilinearly.
 
         Parameters
         ----------
-        place : (n, 2) float [px]       column and row
+        point : (n, 2) float [px]       column and row
 
         Returns
         -------
@@ -96,11 +96,11 @@ class DenseStart:
         trusted : (n,) bool             False outside the picture
         """
         # `cv2.remap` takes at most 32767 columns, so the list is folded into rows.
-        folded = np.full((1 + len(place) // _FOLD, _FOLD, 2), -_FOLD, dtype=np.float32)
-        folded.reshape(-1, 2)[: len(place)] = place
+        folded = np.full((1 + len(point) // _FOLD, _FOLD, 2), -_FOLD, dtype=np.float32)
+        folded.reshape(-1, 2)[: len(point)] = point
         layers = np.dstack([self.flow, self.trusted.astype(np.float32)])
         layers_there = cv2.remap(layers, folded, NOT_GIVEN, cv2.INTER_LINEAR)
-        layers_there = layers_there.reshape(-1, 3)[: len(place)]
+        layers_there = layers_there.reshape(-1, 3)[: len(point)]
         return layers_there[:, :2], layers_there[:, 2] > 0.5
 
 
@@ -147,10 +147,10 @@ def dense_start(
     sure = wanted
     if a.width > _MAX_SPECKLE_PX and min(wanted.shape) >= 2 * _MIN_SIDE_PX:
         half = dense_start(cv2.pyrDown(a.grey), cv2.pyrDown(b.grey), mask=wanted[::2, ::2])
-        there, sure = _doubled(half, wanted)
+        motions, sure = _doubled(half, wanted)
     else:
-        there, _ = _motions(a, b, (wanted, b.textured))
-    flow, trusted = _finished(a, b, there)
+        motions, _ = _motions(a, b, (wanted, b.textured))
+    flow, trusted = _finished(a, b, motions)
     return _embedded(flow, trusted & sure, box, shape)
 
 
@@ -227,10 +227,10 @@ def _composed(
     return first + sampled(second, _grid(first.shape) + first)
 
 
-def _inside(place: Float[np.ndarray, "rows columns 2"]) -> Bool[np.ndarray, "rows columns"]:
+def _inside(position: Float[np.ndarray, "rows columns 2"]) -> Bool[np.ndarray, "rows columns"]:
     """True where a place lies within a picture of the same size."""
-    rows, columns = place.shape[:2]
-    column, row = place[..., 0], place[..., 1]
+    rows, columns = position.shape[:2]
+    column, row = position[..., 0], position[..., 1]
     return (column >= 0.0) & (row >= 0.0) & (column <= columns - 1) & (row <= rows - 1)
 
 
@@ -248,7 +248,7 @@ def _search(
 def _fits(
     a: NormalisedImage,
     b: NormalisedImage,
-    there: Float[np.ndarray, "rows columns 2"],
+    flow: Float[np.ndarray, "rows columns 2"],
     gap: Float[np.ndarray, "rows columns 2"],
     limits: tuple[float, float],
 ) -> Bool[np.ndarray, "rows columns"]:
@@ -256,18 +256,18 @@ def _fits(
 
     `gap` is the forward-backward residual; `limits` apply to it and to the roughness [px].
     """
-    place = _grid(a.grey.shape) + there
-    grey = sampled(b.grey, place)
+    position = _grid(a.grey.shape) + flow
+    grey = sampled(b.grey, position)
     mean, variance = moments(grey)
     common = cv2.blur(a.grey * grey, (WINDOW, WINDOW)) - a.mean * mean
     # The constant avoids 0 / 0; it is negligible beside the quantisation noise.
     score = common / np.sqrt(a.variance * variance + np.float32(1e-6))
-    roughness = there - cv2.blur(there, (WINDOW, WINDOW))
+    roughness = flow - cv2.blur(flow, (WINDOW, WINDOW))
     return (
         (score > _MIN_CORRELATION)
         & (_square(gap) < limits[0] ** 2)
         & (_square(roughness) < limits[1] ** 2)
-        & _inside(place)
+        & _inside(position)
     )
 
 
@@ -303,10 +303,10 @@ def _motions(a: NormalisedImage, b: NormalisedImage, textured: _Flags) -> _Motio
 def _explained(a: NormalisedImage, b: NormalisedImage, motions: _Motions) -> _Flags:
     """Pixels of each picture that the two motions match to the other."""
     limits = (_MAX_FIRST_GAP_PX, _MAX_FIRST_ROUGHNESS_PX)
-    there, back = motions
+    forward, back = motions
     return (
-        _fits(a, b, there, _composed(there, back), limits),
-        _fits(b, a, back, _composed(back, there), limits),
+        _fits(a, b, forward, _composed(forward, back), limits),
+        _fits(b, a, back, _composed(back, forward), limits),
     )
 
 
@@ -380,10 +380,10 @@ def _brought_back(
     moved: NormalisedImage, flow: Float[np.ndarray, "rows columns 2"]
 ) -> UInt8[np.ndarray, "rows columns"]:
     """The moved picture warped back to rest, uniform grey where that lies beyond its edge."""
-    place = _grid(moved.grey.shape) + flow
+    source = _grid(moved.grey.shape) + flow
     edge, even_grey = cv2.BORDER_CONSTANT, 128
     return cv2.remap(
-        moved.levels, place, NOT_GIVEN, cv2.INTER_LINEAR, borderMode=edge, borderValue=even_grey
+        moved.levels, source, NOT_GIVEN, cv2.INTER_LINEAR, borderMode=edge, borderValue=even_grey
     )
 
 

@@ -137,8 +137,8 @@ def _features(
     if not len(keep):
         return nothing
     # `compute` may drop features; it returns the remaining ones with their descriptors.
-    kept, descriptors = sift.compute(crop, [keys[int(i)] for i in keep])
-    return np.array(cv2.KeyPoint.convert(kept), dtype=np.float64) + corner, descriptors
+    described, descriptors = sift.compute(crop, [keys[int(i)] for i in keep])
+    return np.array(cv2.KeyPoint.convert(described), dtype=np.float64) + corner, descriptors
 
 
 def _spread(
@@ -200,27 +200,27 @@ def interpolated(samples: Samples, shape: tuple[int, int]) -> Float[np.ndarray, 
     node = np.stack([column.ravel(), row.ravel()], axis=1).astype(np.float64)
     motion = _fitted(samples, node).reshape(*row.shape, 2).astype(np.float32)
     # Constant beyond the outermost nodes.
-    place = np.empty((*shape, 2), dtype=np.float32)
-    place[..., 0] = (np.arange(shape[1], dtype=np.float32) - _SPACING // 2) / _SPACING
-    place[..., 1] = ((np.arange(shape[0], dtype=np.float32) - _SPACING // 2) / _SPACING)[:, None]
-    return sampled(motion, place)
+    position = np.empty((*shape, 2), dtype=np.float32)
+    position[..., 0] = (np.arange(shape[1], dtype=np.float32) - _SPACING // 2) / _SPACING
+    position[..., 1] = ((np.arange(shape[0], dtype=np.float32) - _SPACING // 2) / _SPACING)[:, None]
+    return sampled(motion, position)
 
 
 def sampled(
-    values: Float[np.ndarray, "_ _ *k"], place: Float[np.ndarray, "rows columns 2"]
+    values: Float[np.ndarray, "_ _ *k"], position: Float[np.ndarray, "rows columns 2"]
 ) -> Float[np.ndarray, "rows columns *k"]:
     """Bilinear interpolation between pixels; beyond the picture, the value at its edge.
 
     Parameters
     ----------
     values : (_, _) or (_, _, k) float32    of any unit
-    place : (rows, columns, 2) float32 [px]     column and row
+    position : (rows, columns, 2) float32 [px]  column and row
 
     Returns
     -------
     (rows, columns) or (rows, columns, k) float32
     """
-    return cv2.remap(values, place, NOT_GIVEN, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return cv2.remap(values, position, NOT_GIVEN, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _fitted(samples: Samples, node: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k 2"]:

@@ -98,7 +98,7 @@ class Scatter:
 
 def local_field(
     scatter: Scatter,
-    place: Float[np.ndarray, "t 3"],
+    position: Float[np.ndarray, "t 3"],
     tangent: Float[np.ndarray, "t 2 3"],
     *,
     reach: float,
@@ -110,7 +110,7 @@ def local_field(
     Parameters
     ----------
     scatter : Scatter
-    place : (t, 3) float [m]        on the surface
+    position : (t, 3) float [m]     on the surface
     tangent : (t, 2, 3) float       orthonormal tangents there
     reach : float [m]               displacements farther away have zero weight
     order : 1 or 2                  degree of the polynomial
@@ -122,15 +122,15 @@ def local_field(
     -------
     LocalField                      NaN where too few displacements are near
     """
-    nearest, radius = nearest_within(scatter.point, place, reach, min_points)
+    nearest, radius = nearest_within(scatter.point, position, reach, min_points)
     noise = scatter.covariance - scatter.bias
-    count = len(place)
+    count = len(position)
     value, gradient, curvature, covariance = (
         np.full((count, *shape), np.nan) for shape in ((3,), (2, 3), (3, 3), (3, 3))
     )
     weight, bend = np.full(nearest.shape, np.nan), np.full(nearest.shape, np.nan)
     in_threads(
-        _fit_range, count, np.ascontiguousarray(place, dtype=np.float64),
+        _fit_range, count, np.ascontiguousarray(position, dtype=np.float64),
         np.ascontiguousarray(tangent, dtype=np.float64), nearest, scatter.point, scatter.pixel,
         scatter.displacement, noise, scatter.bias, np.trace(noise, axis1=1, axis2=2),
         float(scatter.subset), radius, _TERMS[order], value, gradient, curvature, covariance,
@@ -142,7 +142,7 @@ def local_field(
 
 def nearest_within(
     point: Points,
-    place: Float[np.ndarray, "t 3"],
+    position: Float[np.ndarray, "t 3"],
     reach: float,
     min_points: int | None,
 ) -> tuple[Int[np.ndarray, "t k"], Float[np.ndarray, " t"]]:
@@ -151,7 +151,7 @@ def nearest_within(
     Parameters
     ----------
     point : (n, 3) float [m]
-    place : (t, 3) float [m]
+    position : (t, 3) float [m]
     reach, min_points               as `local_field`
 
     Returns
@@ -159,13 +159,13 @@ def nearest_within(
     nearest : (t, k) int            at most k, nearest first, -1 where there are fewer
     reach : (t,) float [m]          radius within which they lie
     """
-    nearest = np.full((len(place), _MAX_POINTS), -1)
-    radius = np.full(len(place), reach)
+    nearest = np.full((len(position), _MAX_POINTS), -1)
+    radius = np.full(len(position), reach)
     if len(point) > 0:
         count = min(_MAX_POINTS, len(point))
         farthest = reach if min_points is None else 2.0 * reach
-        away, index = cKDTree(point).query(place, k=count, distance_upper_bound=farthest)
-        away, index = away.reshape(len(place), count), index.reshape(len(place), count)
+        away, index = cKDTree(point).query(position, k=count, distance_upper_bound=farthest)
+        away, index = away.reshape(len(position), count), index.reshape(len(position), count)
         if min_points is not None:
             last = np.minimum(away[:, min(min_points, count) - 1], farthest)
             # Slightly larger, so that the last point has some weight.
@@ -177,7 +177,7 @@ def nearest_within(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit_range(
-    begin, end, place, tangent, nearest, point, pixel, displacement, noise, bias, trace,
+    begin, end, position, tangent, nearest, point, pixel, displacement, noise, bias, trace,
     subset, reach, terms, value, gradient, curvature, covariance, weight, bend,
 ):  # fmt: skip
     max_points = nearest.shape[1]
@@ -195,10 +195,10 @@ def _fit_range(
         m = 0
         while m < max_points and nearest[i, m] >= 0:
             n = nearest[i, m]
-            height[m] = _design_kernel(place[i], tangent[i], point[n], size, design[:, m])
+            height[m] = _design_kernel(position[i], tangent[i], point[n], size, design[:, m])
             distance = 0.0
             for a in range(3):
-                distance += (point[n, a] - place[i, a]) ** 2
+                distance += (point[n, a] - position[i, a]) ** 2
                 given[a, m] = displacement[n, a]
             near = 1.0 - distance / (size * size)
             base_weight[m] = max(near, 0.0) ** 2 / trace[n]
@@ -259,10 +259,10 @@ def _turn_kernel(tangent, solution, reach, turn):
 
 
 @njit(cache=True, error_model="numpy")
-def _design_kernel(place, tangent, point, reach, out):
+def _design_kernel(position, tangent, point, reach, out):
     """Polynomial terms of one displacement, in units of the reach; returns its height [m]."""
     t, s = tangent[0], tangent[1]
-    d0, d1, d2 = point[0] - place[0], point[1] - place[1], point[2] - place[2]
+    d0, d1, d2 = point[0] - position[0], point[1] - position[1], point[2] - position[2]
     xi = (d0 * t[0] + d1 * t[1] + d2 * t[2]) / reach
     eta = (d0 * s[0] + d1 * s[1] + d2 * s[2]) / reach
     out[0] = 1.0
@@ -435,9 +435,9 @@ def noise_correlation(scatter: Scatter, field: LocalField) -> PointCorrelation:
                                     have none
     """
     known = np.isfinite(field.weight)
-    place, column = np.nonzero(known)
+    row, column = np.nonzero(known)
     shape = (len(field.weight), len(scatter.point))
-    weights = csr_array((field.weight[known], (place, field.nearest[place, column])), shape=shape)
+    weights = csr_array((field.weight[known], (row, field.nearest[row, column])), shape=shape)
     covariance = (weights @ _noise(scatter) @ weights.T).tocoo()
     variance = np.zeros(shape[0])
     first, second = covariance.coords
@@ -446,8 +446,10 @@ def noise_correlation(scatter: Scatter, field: LocalField) -> PointCorrelation:
     chosen = first < second
     first, second = first[chosen], second[chosen]
     value = covariance.data[chosen] / np.sqrt(variance[first] * variance[second])
-    kept = np.abs(value) > _MIN_CORRELATION
-    return PointCorrelation(np.column_stack([first[kept], second[kept]]), value[kept])
+    significant = np.abs(value) > _MIN_CORRELATION
+    return PointCorrelation(
+        np.column_stack([first[significant], second[significant]]), value[significant]
+    )
 
 
 def _noise(scatter: Scatter) -> csr_array:

@@ -65,8 +65,8 @@ def predicted(
     Westerweel and Scarano (2005), with the neighbours' gradients.
     """
     near = _nearest(point, valid, reach)
-    there = near >= 0
-    j = np.where(there, near, 0)
+    is_near = near >= 0
+    j = np.where(is_near, near, 0)
     normal = np.cross(tangent[:, 0], tangent[:, 1])
     moved = tangent + np.where(np.isfinite(gradient), gradient, 0.0)
     turned = np.cross(moved[:, 0], moved[:, 1])
@@ -76,22 +76,22 @@ def predicted(
     whole = along + normal[:, :, None] * rotation[:, None]
     offset = point[:, None] - point[j]
     carried = displacement[j] + (offset[:, :, None] @ whole[j])[:, :, 0]
-    median = neighbours_median(carried, there)
-    scatter = neighbours_median(np.linalg.norm(carried - median[:, None], axis=2), there)
+    median = neighbours_median(carried, is_near)
+    scatter = neighbours_median(np.linalg.norm(carried - median[:, None], axis=2), is_near)
     # Transformed to each point's own tangents.
-    slope = neighbours_median(tangent[:, None] @ along[j], there)
+    slope = neighbours_median(tangent[:, None] @ along[j], is_near)
     return Prediction(median, slope, scatter)
 
 
 def neighbours_median(
-    values: Float[np.ndarray, "n k ..."], there: Bool[np.ndarray, "n k"]
+    values: Float[np.ndarray, "n k ..."], included: Bool[np.ndarray, "n k"]
 ) -> Float[np.ndarray, "n ..."]:
     """Component-wise median over the neighbours of each point.
 
     Parameters
     ----------
     values : (n, k, ...) float      values from the neighbours, of any unit
-    there : (n, k) bool             neighbours to include
+    included : (n, k) bool          neighbours to include
 
     Returns
     -------
@@ -102,9 +102,9 @@ def neighbours_median(
     Westerweel and Scarano (2005).
     """
     median = np.full((len(values), *values.shape[2:]), np.nan)
-    enough = there.sum(axis=1) >= _MIN_NEIGHBOURS
+    enough = included.sum(axis=1) >= _MIN_NEIGHBOURS
     given = values[enough]
-    given[~there[enough]] = np.nan
+    given[~included[enough]] = np.nan
     median[enough] = _nanmedian(given)
     return median
 
@@ -144,12 +144,12 @@ def median_test(point: Points, displacement: Points, valid: Flags) -> PointScala
     """
     moved = displacement[valid]
     near = _nearest(point[valid], np.ones(len(moved), dtype=bool), np.inf)
-    there = near >= 0
+    is_near = near >= 0
     values = moved[near]
-    median = neighbours_median(values, there)
+    median = neighbours_median(values, is_near)
     gap = np.linalg.norm(values - median[:, None], axis=2)
-    third = np.maximum((3 * there.sum(axis=1) - 1) // 4, 0)[:, None]
-    ordered = np.sort(np.where(there, gap, np.inf), axis=1)
+    third = np.maximum((3 * is_near.sum(axis=1) - 1) // 4, 0)[:, None]
+    ordered = np.sort(np.where(is_near, gap, np.inf), axis=1)
     scatter = np.take_along_axis(ordered, third, axis=1)[:, 0]
     ratio = np.full(len(point), np.nan)
     if len(moved) > _MIN_NEIGHBOURS:
@@ -176,8 +176,8 @@ def median_around(
     """
     near = _nearest(point, valid, reach)
     around = np.where(near >= 0, value[np.maximum(near, 0)], np.nan)
-    own = np.where(valid, value, np.nan)[:, None]
-    everything = np.hstack([own, around])
+    itself = np.where(valid, value, np.nan)[:, None]
+    everything = np.hstack([itself, around])
     median = _nanmedian(everything)
     return np.where(np.isnan(median), value, median)
 
@@ -195,6 +195,6 @@ def _nearest(point: Points, valid: Flags, reach: float) -> Int[np.ndarray, "n k"
     index = np.where(index == np.arange(len(point))[:, None], -1, index)
     # Missing neighbours go to the end; the order of the others is kept.
     order = np.argsort(index < 0, axis=1, kind="stable")
-    kept = np.take_along_axis(index, order, axis=1)[:, :_MAX_NEIGHBOURS]
-    near[:, : kept.shape[1]] = kept
+    neighbours = np.take_along_axis(index, order, axis=1)[:, :_MAX_NEIGHBOURS]
+    near[:, : neighbours.shape[1]] = neighbours
     return near

@@ -360,17 +360,17 @@ def _robust_variance_kernel(mapping, inverse, factor, blocks, influence):
 
 
 @njit(cache=True, error_model="numpy")
-def _own_step_kernel(normal, own, step, further):
+def _own_step_kernel(normal, scratch, step, further):
     """Write the further step that one camera alone would take into `further`, (2,) [px].
 
     `normal` (2 terms, 2 terms) and `step` (2 bases,), its right-hand side, are without the heights,
-    which come last: in a flat window they determine nothing. `own` (2 bases, 2 bases) is scratch.
+    which come last: in a flat window they determine nothing. `scratch` is (2 bases, 2 bases).
     Returns the variance of each component for residuals of one [px^2]; NaN if it is not determined.
     """
-    _set_kernel(own, normal)
-    if not cholesky_kernel(own):
+    _set_kernel(scratch, normal)
+    if not cholesky_kernel(scratch):
         return np.nan
-    cholesky_solve_kernel(own, step)
+    cholesky_solve_kernel(scratch, step)
     further[0] = -step[0]
     further[1] = -step[1]
     variance = 0.0
@@ -378,6 +378,6 @@ def _own_step_kernel(normal, own, step, further):
         for k in range(len(step)):
             step[k] = 0.0
         step[a] = 1.0
-        cholesky_solve_kernel(own, step)
+        cholesky_solve_kernel(scratch, step)
         variance += 0.5 * step[a]
     return variance

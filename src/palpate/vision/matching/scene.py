@@ -186,17 +186,17 @@ def interior_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "r
     pose = camera.T_camera_object
     depth = surface.point @ pose[2, :3] + pose[2, 3]
     allowed = _MAX_DEPTH_JUMP_PX * depth / camera.matrix[0, 0]
-    there = (surface.triangle >= 0).astype(np.uint8)
+    shown = (surface.triangle >= 0).astype(np.uint8)
     for axis in (0, 1):
         with np.errstate(invalid="ignore"):
             jump = np.abs(np.diff(depth, axis=axis)) > np.delete(allowed, 0, axis=axis)
         near, far = [slice(None)] * 2, [slice(None)] * 2
         near[axis], far[axis] = slice(None, -1), slice(1, None)
-        there[tuple(near)][jump] = 0
-        there[tuple(far)][jump] = 0
+        shown[tuple(near)][jump] = 0
+        shown[tuple(far)][jump] = 0
     around = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), dtype=np.uint8)
-    kept = cv2.erode(there, around, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    return kept.astype(np.float32)
+    eroded = cv2.erode(shown, around, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return eroded.astype(np.float32)
 
 
 def _views(

@@ -344,12 +344,12 @@ def load_window_kernel(
         line = grey[row - half + r, column - half : column + half + 1]
         right = along_column[row - half + r, column - half : column + half + 1]
         down = along_row[row - half + r, column - half : column + half + 1]
-        place = r * side
+        first = r * side
         for k in range(side):
-            weight = window[3, place + k]
-            window[0, place + k] = weight * line[k]
-            window[1, place + k] = weight * right[k]
-            window[2, place + k] = weight * down[k]
+            weight = window[3, first + k]
+            window[0, first + k] = weight * line[k]
+            window[1, first + k] = weight * right[k]
+            window[2, first + k] = weight * down[k]
     count = _sum_kernel(window[3])
     mean = _sum_kernel(window[0]) / max(count, 1.0)
     _subtract_kernel(window[0], window[3], mean)

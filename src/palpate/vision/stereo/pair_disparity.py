@@ -79,8 +79,8 @@ class _Pair:
 
     def out_of_second(self, column: PointScalars, row: PointScalars) -> Float[np.ndarray, "n 2"]:
         """Pixels of the second camera from its rectified columns and the first's rectified rows."""
-        place = np.column_stack([column, row - self.offset.at(column, row)])
-        return _seen_by(self.second, self.rectified.cameras[1], place)
+        pixel = np.column_stack([column, row - self.offset.at(column, row)])
+        return _seen_by(self.second, self.rectified.cameras[1], pixel)
 
 
 def stereo_start(
@@ -105,16 +105,16 @@ def stereo_start(
     CalibrationError                the pair cannot be rectified
     InputError                      fewer than 8 consistent feature matches
     """
-    which = (pictures.rig.reference, partner)
+    indices = (pictures.rig.reference, partner)
     # The pictures define the size here; the cameras' own is not checked again.
-    first, second = (replace(pictures.rig.cameras[k], size=None) for k in which)
-    images = [pictures.normalised[k] for k in which]
+    first, second = (replace(pictures.rig.cameras[k], size=None) for k in indices)
+    images = [pictures.normalised[k] for k in indices]
     rows, columns = np.max([image.levels.shape for image in images], axis=0).tolist()
     rectified = rectify((first, second), (rows, columns))
-    matches = match_features(*(pictures.features[k] for k in which))
-    place = _seen_by(rectified.cameras[0], first, matches.point)
+    matches = match_features(*(pictures.features[k] for k in indices))
+    pixel = _seen_by(rectified.cameras[0], first, matches.point)
     other = _seen_by(rectified.cameras[1], second, matches.moved)
-    offset, agree = _row_offset(place, other)
+    offset, agree = _row_offset(pixel, other)
     if agree.sum() < _MIN_FEATURES:
         raise InputError(
             f"{pictures.rig.source}: cameras '{first.name}' and '{second.name}' have"
@@ -122,7 +122,7 @@ def stereo_start(
             " the object is. Do their pictures show the same, textured object?"
         )
     pair = _Pair(first, second, rectified, offset)
-    low, high = np.percentile((place - other)[agree, 0], [0.5, 99.5])
+    low, high = np.percentile((pixel - other)[agree, 0], [0.5, 99.5])
     margin = _MARGIN * (high - low) + _MARGIN_PX
     disparity = _disparity(pair, images, float(low - margin), float(high + margin))
     return _start(pair, points, disparity, half)
@@ -133,17 +133,17 @@ def _seen_by(
 ) -> Float[np.ndarray, "n 2"]:
     """Map pixels between two cameras with the same centre, from `other` to `camera`."""
     # With a common centre, any point on the ray will do.
-    place = np.column_stack([normalised(other, pixels), np.ones(len(pixels))])
+    ray = np.column_stack([normalised(other, pixels), np.ones(len(pixels))])
     pose = other.T_camera_object
-    return project(camera, (place - pose[:3, 3]) @ pose[:3, :3])
+    return project(camera, (ray - pose[:3, 3]) @ pose[:3, :3])
 
 
 def _row_offset(
-    place: Float[np.ndarray, "n 2"], other: Float[np.ndarray, "n 2"]
+    pixel: Float[np.ndarray, "n 2"], other: Float[np.ndarray, "n 2"]
 ) -> tuple[_RowOffset, Flags]:
     """Robust row correction, and flags of the features consistent with it."""
-    gap = place[:, 1] - other[:, 1]
-    at = np.column_stack([other[:, 0], place[:, 1]])
+    gap = pixel[:, 1] - other[:, 1]
+    at = np.column_stack([other[:, 0], pixel[:, 1]])
     known = np.isfinite(gap) & np.isfinite(at).all(axis=1)
     if known.sum() < _MIN_FEATURES:
         return _RowOffset(np.zeros(2), np.ones(2), np.zeros(6)), known
@@ -244,9 +244,9 @@ def _start(
     plane, good = _planes(disparity, at, half)
 
     def match(pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        place = pair.into_first(pixels)
-        shift = plane[:, 0] + np.einsum("na,na->n", place - at, plane[:, 1:])
-        return pair.out_of_second(place[:, 0] - shift, place[:, 1])
+        pixel = pair.into_first(pixels)
+        shift = plane[:, 0] + np.einsum("na,na->n", pixel - at, plane[:, 1:])
+        return pair.out_of_second(pixel[:, 0] - shift, pixel[:, 1])
 
     displacement = np.where(good[:, None], match(points) - points, np.nan)
     gradient = np.empty((len(points), 2, 2))
@@ -291,8 +291,8 @@ def _sampled(
     """Disparity at the pixels nearest to samples around points, NaN outside; and their offsets."""
     size = np.array(disparity.shape[::-1])
     known = np.isfinite(at).all(axis=1)
-    place = np.rint(np.where(known[:, None], at, -1e6)[:, None] + away).astype(np.int64)
-    inside = ((place >= 0) & (place < size)).all(axis=2)
-    place = np.clip(place, 0, size - 1)
-    value = np.where(inside, disparity[place[..., 1], place[..., 0]], np.nan)
-    return value, place - np.where(known[:, None], at, 0.0)[:, None]
+    pixel = np.rint(np.where(known[:, None], at, -1e6)[:, None] + away).astype(np.int64)
+    inside = ((pixel >= 0) & (pixel < size)).all(axis=2)
+    pixel = np.clip(pixel, 0, size - 1)
+    value = np.where(inside, disparity[pixel[..., 1], pixel[..., 0]], np.nan)
+    return value, pixel - np.where(known[:, None], at, 0.0)[:, None]

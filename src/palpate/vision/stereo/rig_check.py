@@ -62,9 +62,9 @@ def check_rig(
     for c in order:
         if c == rig.reference:
             continue
-        which = (rig.reference, c)
-        names = " and ".join(f"'{rig.cameras[k].name}'" for k in which)
-        count.append(len(pairs[which].point))
+        pair = (rig.reference, c)
+        names = " and ".join(f"'{rig.cameras[k].name}'" for k in pair)
+        count.append(len(pairs[pair].point))
         if count[-1] < _MIN_MATCHES:
             residual.append(float("nan"))
             notes.append(
@@ -72,8 +72,8 @@ def check_rig(
                 " rig could not be checked with them"
             )
             continue
-        residual.append(_misfit(rig, order, pairs, which))
-        limit = max(_MAX_RESIDUAL_PX, _MAX_RESIDUAL_NOISE * _feature_error(rig, pairs, which))
+        residual.append(_misfit(rig, order, pairs, pair))
+        limit = max(_MAX_RESIDUAL_PX, _MAX_RESIDUAL_NOISE * _feature_error(rig, pairs, pair))
         if residual[-1] > limit:
             worst, whose = max((worst, whose), (residual[-1], names))
         elif residual[-1] > _NOTED_RESIDUAL_PX:
@@ -89,8 +89,8 @@ def check_rig(
 def _all_matches(pictures: PreparedPictures) -> _Pairs:
     """Feature matches of every pair of pictures, in both orders."""
     cameras = pictures.rig.cameras
-    for camera, picture, own in zip(cameras, pictures.grey, pictures.features, strict=True):
-        if len(own.point) == 0:
+    for camera, picture, features in zip(cameras, pictures.grey, pictures.features, strict=True):
+        if len(features.point) == 0:
             raise InputError(
                 f"the picture of camera '{camera.name}' shows no texture (grey levels"
                 f" {picture.min():.0f} to {picture.max():.0f}); nothing can be followed in it."
@@ -126,13 +126,13 @@ def _undistorted(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.n
     return normalised(camera, pixels) * camera.matrix[0, 0]
 
 
-def _misfit(rig: Rig, order: tuple[int, ...], pairs: _Pairs, which: tuple[int, int]) -> float:
+def _misfit(rig: Rig, order: tuple[int, ...], pairs: _Pairs, pair: tuple[int, int]) -> float:
     """Median distance of features from their epipolar lines [px]; infinite if most lie behind.
 
     `order[k]` is the camera that picture k is assigned to.
     """
-    chosen = pairs[which]
-    first, second = (rig.cameras[order[k]] for k in which)
+    chosen = pairs[pair]
+    first, second = (rig.cameras[order[k]] for k in pair)
     distance = _epipolar_distance(first, second, chosen)
     known = np.isfinite(distance)
     if known.sum() < _MIN_MATCHES:
@@ -162,12 +162,12 @@ def _line_distance(
     return residual / np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-12)
 
 
-def _feature_error(rig: Rig, pairs: _Pairs, which: tuple[int, int]) -> float:
+def _feature_error(rig: Rig, pairs: _Pairs, pair: tuple[int, int]) -> float:
     """Median distance from the epipolar lines of the geometry that fits the features best [px]."""
-    chosen = pairs[which]
+    chosen = pairs[pair]
     a, b = (
         _undistorted(rig.cameras[k], pixels)
-        for k, pixels in zip(which, (chosen.point, chosen.moved), strict=True)
+        for k, pixels in zip(pair, (chosen.point, chosen.moved), strict=True)
     )
     matrix, _ = cv2.findFundamentalMat(a, b, cv2.FM_LMEDS)
     if matrix is None or matrix.shape != (3, 3):
@@ -204,7 +204,7 @@ def _explanation(rig: Rig, pairs: _Pairs, worst: float, whose: str) -> str:
 
 
 def _better_order(rig: Rig, pairs: _Pairs) -> tuple[int, ...] | None:
-    """Permutation of cameras under which the pictures fit; None if there is no such."""
+    """Permutation of cameras under which the pictures fit; None if there is none."""
     count = len(rig.cameras)
     if count > _MAX_REORDERED_CAMERAS:
         return None

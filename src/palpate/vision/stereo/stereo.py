@@ -377,9 +377,9 @@ def near_object(
     -------
     (n,) bool
     """
-    place = points if pose is None else points @ pose[:3, :3].T + pose[:3, 3]
+    position = points if pose is None else points @ pose[:3, :3].T + pose[:3, 3]
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-    distance = np.linalg.norm(place - middle, axis=1)
+    distance = np.linalg.norm(position - middle, axis=1)
     return np.asarray(distance < _REACH * bounding_diagonal(mesh))
 
 

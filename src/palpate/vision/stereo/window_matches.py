@@ -203,9 +203,9 @@ def confirmed_matches(
     expected = matches.displacement[near] + carried
     good = valid
     for _ in range(_ROUNDS):
-        there = (near >= 0) & good[near]
-        median = neighbours_median(expected, there)
-        scatter = neighbours_median(np.linalg.norm(expected - median[:, None], axis=2), there)
+        is_good = (near >= 0) & good[near]
+        median = neighbours_median(expected, is_good)
+        scatter = neighbours_median(np.linalg.norm(expected - median[:, None], axis=2), is_good)
         gap = np.linalg.norm(matches.displacement - median, axis=1)
         with np.errstate(invalid="ignore"):
             good = valid & (gap <= _MAX_DEVIATIONS * np.hypot(scatter, sigma))
