@@ -133,10 +133,12 @@ def test_a_bench_without_a_rig_names_its_cameras(tmp_path):
     assert bench.board == Chessboard(9, 6, 0.02)
 
 
-def test_one_camera_is_refused(tmp_path):
-    text = HEAD.split("[rig]")[0] + CAMERAS[: CAMERAS.rindex("[[camera]]")] + FORCE
-    with pytest.raises(RecordError, match="is one camera; must be two or more"):
-        read(tmp_path, text)
+@pytest.mark.parametrize(
+    ("cameras", "words"), [("", "missing"), (CAMERAS[: CAMERAS.rindex("[[")], "one camera")]
+)
+def test_fewer_than_two_cameras_are_refused(tmp_path, cameras, words):
+    with pytest.raises(RecordError, match=f"is {words}; must be two or more, 20 to 40 degrees"):
+        read(tmp_path, HEAD.split("[rig]")[0] + cameras + FORCE)
 
 
 def test_the_template_of_init_is_a_bench(tmp_path):

@@ -296,7 +296,7 @@ def _cameras(root: TomlTable, rig: Rig | None) -> tuple[Camera, ...]:
     cameras: dict[str, Camera] = {}
     sources: dict[str, str] = {}
     names = [camera.name for camera in rig.cameras] if rig else []
-    for table in root.tables("camera"):
+    for table in root.optional("camera", root.tables) or ():
         name = table.choice("name", names) if rig else table.label("name")
         if name in cameras:
             table.fail("name", f"camera '{name}' is there twice; give each its own name")
@@ -309,7 +309,8 @@ def _cameras(root: TomlTable, rig: Rig | None) -> tuple[Camera, ...]:
         sources[source] = name
         cameras[name] = _driver(table, CAMERA_DRIVERS)
     if len(cameras) < 2:
-        root.fail("[[camera]]", "is one camera; must be two or more, 20 to 40 degrees apart")
+        count = "one camera" if cameras else "missing"
+        root.fail("[[camera]]", f"is {count}; must be two or more, 20 to 40 degrees apart")
     if missing := [name for name in names if name not in cameras]:
         root.fail("[[camera]]", f"the rig's cameras {', '.join(missing)} have no table")
     return tuple(cameras[name] for name in names or cameras)

@@ -24,6 +24,7 @@ from palpate.pipeline.model.object_model import make_object_model as make_object
 from palpate.pipeline.model.supports import (
     moving_supports as moving_supports,
     require_given_motions as require_given_motions,
+    rigid_modes as rigid_modes,
     sliding_motion as sliding_motion,
 )
 from palpate.pipeline.motion.displacement import (
