@@ -22,7 +22,7 @@ Components: Moakher and Norris, The closest elastic tensor of arbitrary symmetry
 tensor of lower symmetry, Journal of Elasticity 85 (2006), section 2.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -185,9 +185,9 @@ def _expansions(
     poisson_ratio: float,
     causes: Sequence[Cause],
     loose: Bool[np.ndarray, " h"] | None = None,
-) -> list[FieldExpansion]:
+) -> Iterator[FieldExpansion]:
     """The responses' change by some causes about the homogeneous body, or about one of which the
-    support has let some held nodes go."""
+    support has let some held nodes go, one after the other."""
     stiffness = model.stiffness(np.zeros(model.modes.modes.shape[1]), poisson_ratio)
     moved = stiffness.displacements(model.load)
     change = zero = model.seen(0.0 * moved)
@@ -199,7 +199,7 @@ def _expansions(
         moved = stiffness.displacements(model.load)
         change = model.seen(moved - before)
     seen = stiffness.displacements(model.unit_loads) if isinstance(model, PushModel) else None
-    expansions, count = list[FieldExpansion](), model.load.shape[1]
+    count = model.load.shape[1]
     for cause in causes:
         if seen is None:
             derivative = model.derivative(stiffness, moved)
@@ -211,10 +211,7 @@ def _expansions(
             derivative = _by_support(model.body, stiffness, seen, moved)
         none = np.zeros(derivative.shape[-1])
         nowhere = np.zeros((count, len(none)))
-        expansions.append(
-            FieldExpansion(model, none, poisson_ratio, nowhere, zero, change, zero, derivative)
-        )
-    return expansions
+        yield FieldExpansion(model, none, poisson_ratio, nowhere, zero, change, zero, derivative)
 
 
 def _by_direction(

@@ -383,7 +383,6 @@ def _changed(
     prior: CoefficientPrior,
 ) -> ProbeObservations:
     """Observations of one probing with what a field changes."""
-    derivative = points.from_corners @ expansion.derivative[index]
     local = expansion.under_loads[index]
     scale = float(np.exp(-local @ expansion.coefficients))
 
@@ -393,11 +392,17 @@ def _changed(
         return np.asarray(moved - rows @ expansion.homogeneous[:, index])
 
     own = missed(probe.response, points.from_nodes)
-    derivative -= scale * np.outer(own, local)
+
+    def along_coefficients(by: Float[np.ndarray, "b j"]) -> Float[np.ndarray, "r j"]:
+        """Derivative of the rows with respect to what the coefficients change by. Made when it is
+        asked for: of all probings it would be most of what a fit keeps."""
+        derivative = points.from_corners @ expansion.derivative[index]
+        return (derivative - scale * np.outer(own, local)) @ by
+
     along = probe.force / (probe.force @ probe.force)
     moved = np.stack([expansion.change[:, index], expansion.slope[:, index]], axis=1)
     expected = np.stack([prior.mean - expansion.coefficients, prior.by_ratio], axis=1)
-    here = points.from_nodes @ moved + derivative @ expected
+    here = points.from_nodes @ moved + along_coefficients(expected)
     here[:, 0] += (scale - 1.0) * own
     response = _Changed(probe.response, along, expansion.poisson_ratio, *here.T)
     vertices = probe.vertices
@@ -405,7 +410,7 @@ def _changed(
         there = points.vertices @ moved
         there[:, 0] += (scale - 1.0) * missed(vertices, points.vertices)
         vertices = _Changed(vertices, along, expansion.poisson_ratio, *there.T)
-    mixed, rising = derivative @ prior.mixing, derivative @ prior.by_log_modulus
+    rising = along_coefficients(prior.by_log_modulus[:, None])[:, 0]
 
     def settled(_: float) -> Float[np.ndarray, "n_rows c"]:
         columns = np.zeros((len(rising), 4 + len(probe.motion)))
@@ -413,8 +418,9 @@ def _changed(
         return columns
 
     def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:
-        moved = np.zeros((len(at.rows), 1, at.value.shape[2], mixed.shape[1]))
-        moved[:, 0, :3] = along[:, None] * mixed[at.rows, None]
+        mixed = along_coefficients(prior.mixing)[at.rows]
+        moved = np.zeros((*mixed.shape[:1], 1, at.value.shape[2], mixed.shape[1]))
+        moved[:, 0, :3] = along[:, None] * mixed[:, None]
         return moved
 
     settlement = Settlement(prior.shear_modulus, settled) if prior.by_log_modulus.any() else None
