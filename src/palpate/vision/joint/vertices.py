@@ -394,7 +394,7 @@ def _used(weights: csr_array, points: Points) -> SurfaceAverage:
     used[kept.indices] = True
     counts = used.reshape(-1, 3).any(axis=1)
     columns = np.flatnonzero(np.repeat(counts, 3))
-    return SurfaceAverage(points[counts], csr_array(kept[:, columns]))
+    return SurfaceAverage(points[counts], bsr_array(kept[:, columns], blocksize=(3, 3)))
 
 
 def local_fits(
