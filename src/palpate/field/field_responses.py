@@ -13,7 +13,7 @@ d the difference at the coefficients b0 about which it is expanded, S the deriva
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -42,7 +42,7 @@ from palpate.field.elements import (
 from palpate.field.field_prior import FieldModes, make_field_modes
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.records import Session
-from palpate.shapes import Points
+from palpate.shapes import Points, Vector3
 from palpate.solids import (
     GradedBody,
     GradedStiffness,
@@ -53,6 +53,8 @@ from palpate.solids import (
     with_moduli,
 )
 
+# Probings whose derivatives are made at once, where they are not kept.
+_PART = 8
 # Change of Poisson's ratio for the derivative of d.
 _STEP = 0.005
 # Begins the names of a field's coefficients; what the budget calls them together.
@@ -226,6 +228,26 @@ class FieldModel(ABC):
         )  # fmt: skip
 
 
+class MadeInParts:
+    """Derivatives of probings, those of some made at a time when one of them is asked for: of all
+    they would be most of what a fit of many pushes needs.
+
+    Parameters
+    ----------
+    make : callable             slice of probings -> their derivatives, as `FieldExpansion` has them
+    """
+
+    def __init__(self, make: Callable[[slice], Float[np.ndarray, "p a b"]]) -> None:
+        self._make, self._first = make, -1
+
+    def __getitem__(self, index: int) -> Float[np.ndarray, "a b"]:
+        """That of one probing."""
+        first = index - index % _PART
+        if first != self._first:
+            self._part, self._first = self._make(slice(first, first + _PART)), first
+        return self._part[index - first]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldExpansion:
     """Change of the responses by a field, to first order about some coefficients.
@@ -240,7 +262,7 @@ class FieldExpansion:
     change : (..., k) float                     d under the load of each probing (`FieldModel.seen`)
     slope : (..., k) float                      its derivative with respect to Poisson's ratio; zero
                                                 until it is asked for
-    derivative : (k, ..., b) float              S (`FieldModel.derivative`)
+    derivative : (k, ..., b) float, or parts of it      S (`FieldModel.derivative`)
     """
 
     model: FieldModel
@@ -250,7 +272,7 @@ class FieldExpansion:
     homogeneous: Float[np.ndarray, "*n"]
     change: Float[np.ndarray, "*n"]
     slope: Float[np.ndarray, "*n"]
-    derivative: Float[np.ndarray, "*d b"]
+    derivative: Float[np.ndarray, "*d b"] | MadeInParts
 
     def with_slope(self) -> "FieldExpansion":
         """With the derivative with respect to Poisson's ratio, which takes two factorisations."""
@@ -402,7 +424,9 @@ def _changed(
     along = probe.force / (probe.force @ probe.force)
     moved = np.stack([expansion.change[:, index], expansion.slope[:, index]], axis=1)
     expected = np.stack([prior.mean - expansion.coefficients, prior.by_ratio], axis=1)
-    here = points.from_nodes @ moved + along_coefficients(expected)
+    here = points.from_nodes @ moved
+    if expected.any():
+        here += along_coefficients(expected)
     here[:, 0] += (scale - 1.0) * own
     response = _Changed(probe.response, along, expansion.poisson_ratio, *here.T)
     vertices = probe.vertices
@@ -410,12 +434,10 @@ def _changed(
         there = points.vertices @ moved
         there[:, 0] += (scale - 1.0) * missed(vertices, points.vertices)
         vertices = _Changed(vertices, along, expansion.poisson_ratio, *there.T)
-    rising = along_coefficients(prior.by_log_modulus[:, None])[:, 0]
-
-    def settled(_: float) -> Float[np.ndarray, "n_rows c"]:
-        columns = np.zeros((len(rising), 4 + len(probe.motion)))
-        columns[:, :3] = rising[:, None] * along
-        return columns
+    settlement = None
+    if prior.by_log_modulus.any():
+        rising = along_coefficients(prior.by_log_modulus[:, None])[:, 0]
+        settlement = Settlement(prior.shear_modulus, partial(_settled, probe, along, rising))
 
     def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:
         mixed = along_coefficients(prior.mixing)[at.rows]
@@ -423,7 +445,6 @@ def _changed(
         moved[:, 0, :3] = along[:, None] * mixed[:, None]
         return moved
 
-    settlement = Settlement(prior.shear_modulus, settled) if prior.by_log_modulus.any() else None
     first = expansion.model.load.shape[1] + 2 * index
     shifts = points.from_nodes @ expansion.change[:, first : first + 2]
     nuisances = [_shifted(each, shifts) for each in probe.nuisances]
@@ -431,6 +452,15 @@ def _changed(
         probe, response=response, vertices=vertices, settlement=settlement,
         nuisances=(*nuisances, Nuisance(prior.parameters, effects)),
     )  # fmt: skip
+
+
+def _settled(
+    probe: ProbeObservations, along: Vector3, rising: Float[np.ndarray, " r"], _: float
+) -> Float[np.ndarray, "r c"]:
+    """Change of a response with the logarithm of the modulus."""
+    columns = np.zeros((len(rising), 4 + len(probe.motion)))
+    columns[:, :3] = rising[:, None] * along
+    return columns
 
 
 def _shifted(nuisance: Nuisance, shifts: Float[np.ndarray, "r s"]) -> Nuisance:

@@ -31,6 +31,7 @@ from palpate.pipeline.model.grading import graded_session, refined_session
 from palpate.pipeline.model.large_strain import fit_at_finite_strain
 from palpate.pipeline.model.object_model import ObjectModel, make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, length_error, with_stretch
+from palpate.pipeline.model.supports import MovingSupport
 from palpate.pipeline.motion.figures import rejection_note, rejections
 from palpate.pipeline.observations import (
     UNGRADED_RESIDUAL,
@@ -163,8 +164,10 @@ def _fit_displacements(
         graded, model, settings=settings, coarser=ungraded, with_surface=True
     )
     observations = with_stretch(observations, strains)
-    # They have taken the loads' columns up, which of many pushes are large.
-    model = replace(model, right=model.right.of(np.arange(0)))
+    pulled = [model.pulled_translations(k) for k in range(len(session.probings))]
+    supports = model.supports
+    # The observations have taken up what it knows of loads, which of many pushes is large.
+    del model
     factorised = time.perf_counter()
     tested = reciprocity(session) if len(session.probings) > 1 and not finite_strain else None
     if finite_strain:
@@ -175,7 +178,7 @@ def _fit_displacements(
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)
-    result, probes = _with_load(graded, result), _probe_estimates(model, result)
+    result, probes = _with_load(graded, result), _probe_estimates(supports, pulled, result)
     notes = _session_notes(
         session, refined, graded, result, probes, tested, finite_strain=finite_strain
     )
@@ -288,25 +291,26 @@ def _on_ungraded_mesh(
     )  # fmt: skip
 
 
-def _probe_estimates(model: ObjectModel, result: FitResult) -> tuple[ProbeEstimate, ...]:
+def _probe_estimates(
+    moving: Sequence[MovingSupport], pulled: Sequence[tuple[int, ...]], result: FitResult
+) -> tuple[ProbeEstimate, ...]:
     """The result's probe estimates, with the motions of their supports."""
     return tuple(
-        replace(probe, supports=_support_estimates(model, k, result.probes[k]))
-        for k, probe in enumerate(result.estimate.probes)
+        replace(probe, supports=_support_estimates(moving, own, fitted))
+        for probe, own, fitted in zip(result.estimate.probes, pulled, result.probes, strict=True)
     )
 
 
 def _support_estimates(
-    model: ObjectModel, index: int, fitted: ProbeFit
+    moving: Sequence[MovingSupport], pulled: tuple[int, ...], fitted: ProbeFit
 ) -> tuple[SupportEstimate, ...]:
     """Motions of the supports in a probing; NaN for translations of a support that is pulled."""
-    pulled = model.pulled_translations(index)
-    rest = [j for j in range(6 * len(model.supports)) if j not in pulled]
-    value, std = np.full((2, 6 * len(model.supports)), np.nan)
+    rest = [j for j in range(6 * len(moving)) if j not in pulled]
+    value, std = np.full((2, 6 * len(moving)), np.nan)
     value[rest], std[rest] = fitted.motion[: len(rest)], fitted.motion_std[: len(rest)]
     estimates = []
     for support, moved, error in zip(
-        model.supports, value.reshape(-1, 2, 3), std.reshape(-1, 2, 3), strict=True
+        moving, value.reshape(-1, 2, 3), std.reshape(-1, 2, 3), strict=True
     ):
         parts = (tuple(part.tolist()) for part in (moved[0], error[0], moved[1], error[1]))
         estimates.append(SupportEstimate(support.number, *parts))

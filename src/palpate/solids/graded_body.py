@@ -22,7 +22,7 @@ from palpate.solids.tetrahedra import Solid
 # Observed components whose strains are held at a time, 24 numbers for each and each element.
 _BLOCK = 64
 # Loads whose energies are held at once.
-_LOADS = 16
+_LOADS = 8
 # From strains with twice the shears to Mandel's six-vectors, whose products are those of tensors.
 _MANDEL = np.array([1.0, 1.0, 1.0, *[np.sqrt(0.5)] * 3])
 
