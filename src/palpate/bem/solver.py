@@ -34,16 +34,13 @@ _SNAPSHOT_RESIDUAL = 5e-7
 
 @runtime_checkable
 class Solver(Protocol):
-    """Solves one system for any right-hand sides and materials.
-
-    Attributes
-    ----------
-    together : int or None              right-hand sides of which one reduced model is best made,
-                                        as several models share all that is costly; None: of all
-    """
+    """Solves one system for any right-hand sides and materials."""
 
     @property
-    def together(self) -> int | None: ...
+    def together(self) -> int | None:
+        """Right-hand sides of which one reduced model is best made, as several models share all
+        that is costly; None: of all."""
+        ...
 
     def prepare(self) -> None:
         """Compute now, and keep in the system's `checkpoints`, what serves all right-hand sides.

@@ -167,7 +167,7 @@ def measure(
         bench = replace(bench, rig=session.rig)
         questions.known(session.rig)
         questions.body(session.mesh, session.bare.held_triangles)
-        places = [first_place(session.bare, radius=session.contact_radius)]
+        first = places = [first_place(session.bare, radius=session.contact_radius)]
         if dry_run:
             _rehearse(bench, questions, session, *places[0])
             return None
@@ -188,9 +188,7 @@ def measure(
                 further = _beside(bench, session, questions)
                 break
             except _Withdrawn:
-                estimate, places = None, [first_place(session.bare, radius=session.contact_radius)]
-                if session.count:
-                    estimate, places = judge(session.measured())
+                estimate, places = judge(session.measured()) if session.count else (None, first)
                 continue
             if measured is None:
                 break

@@ -13,7 +13,7 @@ d the difference at the coefficients b0 about which it is expanded, S the deriva
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -42,7 +42,7 @@ from palpate.field.elements import (
 from palpate.field.field_prior import FieldModes, make_field_modes
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.records import Session
-from palpate.shapes import Points, Vector3
+from palpate.shapes import Points
 from palpate.solids import (
     GradedBody,
     GradedStiffness,
@@ -416,8 +416,7 @@ def _changed(
     own = missed(probe.response, points.from_nodes)
 
     def along_coefficients(by: Float[np.ndarray, "b j"]) -> Float[np.ndarray, "r j"]:
-        """Derivative of the rows with respect to what the coefficients change by. Made when it is
-        asked for: of all probings it would be most of what a fit keeps."""
+        """Derivative of the rows by what the coefficients change by, which is large."""
         derivative = points.from_corners @ expansion.derivative[index]
         return (derivative - scale * np.outer(own, local)) @ by
 
@@ -436,8 +435,10 @@ def _changed(
         vertices = _Changed(vertices, along, expansion.poisson_ratio, *there.T)
     settlement = None
     if prior.by_log_modulus.any():
-        rising = along_coefficients(prior.by_log_modulus[:, None])[:, 0]
-        settlement = Settlement(prior.shear_modulus, partial(_settled, probe, along, rising))
+        rising = along[:, None] * along_coefficients(prior.by_log_modulus[:, None])[:, :1].T
+        columns = np.zeros((rising.shape[1], 4 + len(probe.motion)))
+        columns[:, :3] = rising.T
+        settlement = Settlement(prior.shear_modulus, lambda _: columns)
 
     def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:
         mixed = along_coefficients(prior.mixing)[at.rows]
@@ -452,15 +453,6 @@ def _changed(
         probe, response=response, vertices=vertices, settlement=settlement,
         nuisances=(*nuisances, Nuisance(prior.parameters, effects)),
     )  # fmt: skip
-
-
-def _settled(
-    probe: ProbeObservations, along: Vector3, rising: Float[np.ndarray, " r"], _: float
-) -> Float[np.ndarray, "r c"]:
-    """Change of a response with the logarithm of the modulus."""
-    columns = np.zeros((len(rising), 4 + len(probe.motion)))
-    columns[:, :3] = rising[:, None] * along
-    return columns
 
 
 def _shifted(nuisance: Nuisance, shifts: Float[np.ndarray, "r s"]) -> Nuisance:

@@ -74,6 +74,8 @@ _LARGE_ROTATION = 5e-3
 # Depth over the radius of a contact, of which half is about the strain under it, from which the
 # error of a model of small strain is no longer small; what the tool deforms reaches so many radii.
 _FAR, _REACH = 0.1, 3.0
+# The supports that move, and which of their translations a probing pulls.
+_Moving = tuple[Sequence[MovingSupport], tuple[int, ...]]
 # A contact that ends up this many radii beside the point that was touched first is mentioned.
 _MENTIONED = 0.05
 
@@ -156,18 +158,8 @@ def _fit_displacements(
     compared = time.perf_counter()
     before("integrals over the surface", _GRADED)
     graded = graded_session(refined)
-    integrals = part_of(before, _GRADED, _ASSEMBLED)
-    model = make_object_model(graded, cache=cache, progress=integrals)
-    assembled = time.perf_counter()
-    before("factorisation", _ASSEMBLED)
-    observations = converged_observations(
-        graded, model, settings=settings, coarser=ungraded, with_surface=True
-    )
+    moving, observations, assembled = _on_graded_mesh(graded, ungraded, settings, cache, before)
     observations = with_stretch(observations, strains)
-    pulled = [model.pulled_translations(k) for k in range(len(session.probings))]
-    supports = model.supports
-    # The observations have taken up what it knows of loads, which of many pushes is large.
-    del model
     factorised = time.perf_counter()
     tested = reciprocity(session) if len(session.probings) > 1 and not finite_strain else None
     if finite_strain:
@@ -178,7 +170,7 @@ def _fit_displacements(
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)
-    result, probes = _with_load(graded, result), _probe_estimates(supports, pulled, result)
+    result, probes = _with_load(graded, result), _probe_estimates(moving, result)
     notes = _session_notes(
         session, refined, graded, result, probes, tested, finite_strain=finite_strain
     )
@@ -291,13 +283,32 @@ def _on_ungraded_mesh(
     )  # fmt: skip
 
 
-def _probe_estimates(
-    moving: Sequence[MovingSupport], pulled: Sequence[tuple[int, ...]], result: FitResult
-) -> tuple[ProbeEstimate, ...]:
+def _on_graded_mesh(
+    session: Session,
+    coarser: Sequence[ProbeObservations],
+    settings: FitSettings,
+    cache: Cache | None,
+    progress: Progress,
+) -> tuple[list[_Moving], list[ProbeObservations], float]:
+    """What moves in each probing, the observations with the model of the graded mesh, and when its
+    integrals were done. The model itself is let go: the observations have taken up what it knows of
+    loads, which of many pushes is large."""
+    integrals = part_of(progress, _GRADED, _ASSEMBLED)
+    model = make_object_model(session, cache=cache, progress=integrals)
+    assembled = time.perf_counter()
+    progress("factorisation", _ASSEMBLED)
+    observations = converged_observations(
+        session, model, settings=settings, coarser=coarser, with_surface=True
+    )
+    pulled = map(model.pulled_translations, range(len(session.probings)))
+    return [(model.supports, each) for each in pulled], observations, assembled
+
+
+def _probe_estimates(moving: Sequence[_Moving], result: FitResult) -> tuple[ProbeEstimate, ...]:
     """The result's probe estimates, with the motions of their supports."""
     return tuple(
-        replace(probe, supports=_support_estimates(moving, own, fitted))
-        for probe, own, fitted in zip(result.estimate.probes, pulled, result.probes, strict=True)
+        replace(probe, supports=_support_estimates(*each, fitted))
+        for probe, each, fitted in zip(result.estimate.probes, moving, result.probes, strict=True)
     )
 
 
