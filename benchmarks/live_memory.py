@@ -1,5 +1,4 @@
-"""Memory that each push more takes in a live session: fits of some pushes on the demo's half ball,
-each in a process of its own.
+"""Memory that each push more takes in a live session on the demo's half ball, and that of an hour.
 
 Points and covariances are those of the demo's pictures, taken in turn; displacements are what the
 fit of its three pushes predicts at places on a spiral, with the noise that their covariances say.
@@ -23,29 +22,49 @@ from benchmarks.machine import ROOT, peak_memory
 from palpate.checkpoints import Memory
 from palpate.geometry import closest_points
 from palpate.lab import built_in, choose_variant, make_session, read_lab_config
-from palpate.pipeline import Material, fit_session, with_pictures_measured
+from palpate.pipeline import Material, fit_session, plan_next, with_pictures_measured
 from palpate.records import Probing, Session, read_session
 
-COUNTS, HOUR = (10, 20), 180
+COUNTS, HOUR = (20, 40), 180
 # Points that the tool hides, over its radius; lowest place on the half ball, over its height.
 _HIDDEN, _LOWEST = 1.5, 0.3
 
 
 def measure(counts: tuple[int, ...] = COUNTS) -> list[Figure]:
-    """Memory a push more, and of an hour."""
+    """Memory of an hour, by what a push more takes."""
+    whole, peaks = pushes(max(counts)), []
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "session")
-        file.write_bytes(pickle.dumps(pushes(max(counts))))
-        peaks = []
         for count in counts:
-            command = [sys.executable, "-m", "benchmarks.live_memory", str(file), str(count)]
+            file = Path(folder, str(count))
+            file.write_bytes(pickle.dumps(replace(whole, probings=whole.probings[:count])))
+            command = [sys.executable, "-m", "benchmarks.live_memory", "of", str(file)]
             done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
             print(done.stdout, end="", flush=True)
             peaks.append(int(done.stdout.split()[-1]))
     each = (peaks[-1] - peaks[0]) / (counts[-1] - counts[0])
     hour = peaks[-1] + (HOUR - counts[-1]) * each
-    note = f"fits of {' and '.join(map(str, counts))} pushes, {each / 1e6:.1f} MB a push more"
+    note = (
+        f"of {HOUR} pushes, fit and plan twice, from that at {counts[0]} and"
+        f" {counts[-1]} pushes: {each / 1e6:.1f} MB a push more; without the page and the bench"
+    )
     return [Figure(LIVE, "an hour's session, memory", hour / 1e9, "GB", note=note)]
+
+
+def _live(file: Path) -> None:
+    """What `palpate measure` computes after a push, and after the next one."""
+    session, kept, begun = pickle.loads(file.read_bytes()), Memory(), time.perf_counter()
+    planned = None
+    for _ in range(2):
+        fitted = fit_session(session, cache=kept, material=Material.AUTO)
+        planned = plan_next(session, count=6, fitted=fitted, known=planned, cache=kept)
+        estimate = fitted.estimate
+        del fitted
+    young, ratio = estimate.young_modulus, estimate.poisson_ratio
+    print(
+        f"{len(session.probings)} pushes: E {young.value:.6g} +- {young.std:.3g} Pa, nu"
+        f" {ratio.value:.6f} +- {ratio.std:.2g}, {time.perf_counter() - begun:.1f} s, bytes at most"
+        f" {peak_memory()}"
+    )
 
 
 def pushes(count: int) -> Session:
@@ -90,15 +109,9 @@ def _pressed(session: Session, k: int, place: np.ndarray, inward: np.ndarray) ->
     )
 
 
-if __name__ == "__main__" and len(sys.argv) == 3 and Path(sys.argv[1]).exists():
-    whole = pickle.loads(Path(sys.argv[1]).read_bytes())
-    given = replace(whole, probings=whole.probings[: int(sys.argv[2])])
-    kept, begun = Memory(), time.perf_counter()
-    found = fit_session(given, cache=kept, material=Material.AUTO).estimate
-    print(
-        f"{sys.argv[2]} pushes: {found.young_modulus} {found.poisson_ratio}"
-        f" {found.status}, {time.perf_counter() - begun:.1f} s; {peak_memory()}"
-    )
-elif __name__ == "__main__":
-    for figure in measure(tuple(map(int, sys.argv[1:])) or COUNTS):
-        print(figure)
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["of"]:
+        _live(Path(sys.argv[2]))
+    else:
+        for figure in measure(tuple(map(int, sys.argv[1:])) or COUNTS):
+            print(figure)

@@ -226,11 +226,11 @@ class LiveSession:
             "images": {"rest": _REST.format(name), "loaded": [_LOADED.format(name)]},
         }
         content = self.content | {"probe": [*self.content["probe"], probe]}
+        if taken.after is not None:
+            self._check_place(taken, taken.after)
         with atomic_replacement(self.file) as staged:
             staged.write_text(tomlkit.dumps(content), encoding="utf-8")
             motions = self._measured(read_session(staged), name)
-            if taken.after is not None:
-                self._check_place(taken, taken.after)
             if self.by_hand:
                 probe["contact"] |= self._found_contact(motions[name], taken.force * inward)
                 staged.write_text(tomlkit.dumps(content), encoding="utf-8")
@@ -319,8 +319,8 @@ class LiveSession:
         slid, pressed = self._remains(taken, after)
         if pressed > _STILL_PRESSED:
             raise PushError(
-                f"{100 * pressed:.0f} % of it is still there after the tool was lifted: does a"
-                " camera deliver late, does the tool stick, or is the object plastic?"
+                f"{100 * min(pressed, 1.0):.0f} % of it is seen after the tool was lifted: does a"
+                " camera deliver late, does the tool stick, or does the object hardly spring back?"
             )
         if slid:
             raise PushError(
@@ -352,7 +352,8 @@ class LiveSession:
             max(_rms(x - rigid_part(points, x)) ** 2 - known, 0.0)
             for x, known in zip((remains, moved), noise, strict=True)
         ]
-        pressed = float(np.sqrt(shapes[0] / shapes[1])) if shapes[1] else 0.0
+        # Of noise alone nothing; of what is seen afterwards only, all.
+        pressed = float(np.sqrt(shapes[0] / shapes[1])) if shapes[1] else float(shapes[0] > 0.0)
         return slid if slid > max(_SLID * _rms(back), _SURE * sigma) else 0.0, pressed
 
     def _found_contact(self, motion: ProbingMotion, force: Vector3) -> dict[str, Any]:

@@ -63,6 +63,8 @@ _STEPS, _TURN = 100, 0.2
 # depth. What bears the wanted force at the largest depth bears 6 % at a quarter of it (under a
 # cone, whose force rises latest; 12 % under a ball), and 3 % where the surface is a tenth lower.
 _FELT = 0.02
+# Share of a gauge's range from which on it is at its end.
+_FULL = 0.999
 # Pause while a reading is waited for [s]; directions that differ by less are the same.
 _PAUSE, _SAME = 2e-3, 1e-6
 # Standard deviation of a force that was read by eye, over the force.
@@ -399,6 +401,12 @@ def _press(arm: GuardedArm, watch: _Watch, place: Vector3, inward: Vector3, want
         force = abs(watch.reading[-1] - zero)
         if force >= wanted:
             return
+        limit = watch.bench.force.limit
+        if limit is not None and abs(watch.reading[-1]) >= _FULL * limit:
+            raise DeviceError(
+                f"the arm was stopped: at {force:.2g} N of {wanted:g} N the gauge is at the end of"
+                f" its range, {limit:g} N; ask for less force, or take a gauge of a larger range"
+            )
         arm.felt(force)
         forces.append(force)
         if depth < 0.25 * limits.depth:

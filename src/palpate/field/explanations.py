@@ -153,7 +153,10 @@ def explanations(
     if name in kept:
         model: FieldModel = kept[name].under(session, observations)
     else:
-        model = kept[name] = make_model(session, observations, elements=_FEW, times=(1, 3))
+        kept[name] = model = make_model(session, observations, elements=_FEW, times=(1, 3))
+        if isinstance(model, PushModel):
+            # Without these pushes, which are large.
+            kept[name] = replace(model, observations=(), points=())
     ratio, candidates = _near(minimum.poisson_ratio), []
     stiffness: GradedStiffness | None = kept.get(factors := f"{name} factors")
     if stiffness is None or stiffness.poisson_ratio != ratio:
