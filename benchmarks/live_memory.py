@@ -22,7 +22,13 @@ from benchmarks.machine import ROOT, peak_memory
 from palpate.checkpoints import Memory
 from palpate.geometry import closest_points
 from palpate.lab import built_in, choose_variant, make_session, read_lab_config
-from palpate.pipeline import Material, fit_session, plan_next, with_pictures_measured
+from palpate.pipeline import (
+    Material,
+    fit_session,
+    fitted_body,
+    plan_next,
+    with_pictures_measured,
+)
 from palpate.records import Probing, Session, read_session
 
 COUNTS, HOUR = (20, 40), 180
@@ -55,11 +61,9 @@ def _live(file: Path) -> None:
     session, kept, begun = pickle.loads(file.read_bytes()), Memory(), time.perf_counter()
     planned = None
     for _ in range(2):
-        fitted = fit_session(session, cache=kept, material=Material.AUTO)
+        fitted = fitted_body(fit_session(session, cache=kept, material=Material.AUTO))
         planned = plan_next(session, count=6, fitted=fitted, known=planned, cache=kept)
-        estimate = fitted.estimate
-        del fitted
-    young, ratio = estimate.young_modulus, estimate.poisson_ratio
+    young, ratio = fitted.estimate.young_modulus, fitted.estimate.poisson_ratio
     print(
         f"{len(session.probings)} pushes: E {young.value:.6g} +- {young.std:.3g} Pa, nu"
         f" {ratio.value:.6f} +- {ratio.std:.2g}, {time.perf_counter() - begun:.1f} s, bytes at most"

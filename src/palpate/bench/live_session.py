@@ -18,13 +18,14 @@ from palpate.bench.questions import Pictures
 from palpate.checkpoints import Cache, Memory
 from palpate.disk import atomic_replacement, write_bytes
 from palpate.errors import InputError, RecordError
-from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh, bounding_diagonal
 from palpate.pipeline import (
+    FittedBody,
     Material,
     NextProbings,
     ProbingMotion,
     fit_session,
+    fitted_body,
     measure_pictures,
     plan_next,
     rigid_modes,
@@ -262,12 +263,14 @@ class LiveSession:
         self._motions = measure_pictures(session, known=self._motions)
         return with_motions(session, self._motions)
 
-    def fit(self, measured: Session, *, progress: Progress = silent) -> FitResult:
+    def fit(self, measured: Session, *, progress: Progress = silent) -> FittedBody:
         """The constants, as `palpate fit` finds them."""
-        return fit_session(measured, cache=self._cache, material=Material.AUTO, progress=progress)
+        return fitted_body(
+            fit_session(measured, cache=self._cache, material=Material.AUTO, progress=progress)
+        )
 
     def plan(
-        self, measured: Session, fitted: FitResult, *, progress: Progress = silent
+        self, measured: Session, fitted: FittedBody, *, progress: Progress = silent
     ) -> NextProbings:
         """The next pushes, as `plan_next` finds them, with what it found after the last push."""
         self._plan = plan_next(
