@@ -261,10 +261,9 @@ def plan_next(
             " without pictures are not planned)"
         )
     if fitted is None:
-        report = part_of(progress, 0.0, 0.4)
-        fitted = fitted_body(
-            fit_session(session, cache=cache, material=Substance.AUTO, progress=report)
-        )
+        before = part_of(progress, 0.0, 0.4)
+        fit = fit_session(session, cache=cache, material=Substance.AUTO, progress=before)
+        fitted = fitted_body(fit)
     session = _with_radii(session, fitted.estimate)
     radius = session.probings[0].contact.radius or 0.0
     measured = _measured_session(session, fitted.estimate)
