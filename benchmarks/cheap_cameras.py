@@ -134,7 +134,7 @@ def measured(kind: Cameras, body: Body, seed: int, cache: Path) -> tuple[float, 
             push = TakenPush(
                 tuple(shot(kind, levels, rng) for levels in body.rest),
                 tuple(shot(kind, levels, rng) for levels in views),
-                newtons * gain * (1.0 + NOISE * rng.standard_normal()), NOISE * newtons,
+                None, newtons * gain * (1.0 + NOISE * rng.standard_normal()), NOISE * newtons,
             )  # fmt: skip
             session.add(push, point, inward)
         estimate = session.fit(session.measured()).estimate

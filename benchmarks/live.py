@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.figure import LIVE, Figure
 from benchmarks.flow_time import FOLDER, NAMES
 from benchmarks.live_films import Counting, measure_films
-from benchmarks.machine import peak_memory
+from benchmarks.live_memory import HOUR, measure as measure_memory
 from benchmarks.options import Options
 from palpate.bench import (
     Bench,
@@ -45,8 +45,6 @@ _COARSE = 9
 # Instants of one push.
 _SERIES = tuple(f"n05_{k}" for k in range(1, 6))
 _UNTIL, _MOST = "E 3 %", 8
-# Pushes of an hour.
-_HOUR = 180
 
 
 def measure(options: Options) -> list[Figure]:
@@ -164,7 +162,7 @@ def _push_figures() -> list[Figure]:
 
 
 def _hour_figures() -> list[Figure]:
-    """Disk of a session of an hour, from the growth over a short one; and the memory of that."""
+    """Disk and memory of a session of an hour, from the growth over short ones."""
     disk: list[int] = []
 
     class Watching(Counting):
@@ -177,13 +175,10 @@ def _hour_figures() -> list[Figure]:
     growth = (disk[-1] - disk[0]) / (_MOST - 1)
     return [
         Figure(
-            LIVE, "an hour's session, disk", (disk[-1] + (_HOUR - _MOST) * growth) / 1e9, "GB",
-            note=f"{_HOUR} pushes, one in {3600 // _HOUR} s, of {growth / 1e6:.2f} MB each",
+            LIVE, "an hour's session, disk", (disk[-1] + (HOUR - _MOST) * growth) / 1e9, "GB",
+            note=f"{HOUR} pushes, one in {3600 // HOUR} s, of {growth / 1e6:.2f} MB each",
         ),
-        Figure(
-            LIVE, f"live session of {_MOST} pushes, largest resident memory", peak_memory() / 1e9,
-            "GB", note="with the virtual bench in the same process",
-        ),
+        *measure_memory(),
     ]  # fmt: skip
 
 

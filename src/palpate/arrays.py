@@ -2,7 +2,7 @@
 tangents of a normal, medians that ignore missing values."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -68,7 +68,8 @@ def fixed_array(
     integer: bool = False,
     nan_allowed: bool = False,
 ) -> np.ndarray:
-    """Read-only float64 (or int64) copy of a value, after checking its shape and finiteness.
+    """Read-only float64 (or int64) copy of a value, after checking its shape and finiteness; an
+    array that is all this already is given back itself.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ def fixed_array(
     """
     wanted = "(" + ", ".join("n" if size is None else str(size) for size in shape) + ")"
     try:
-        array: np.ndarray = np.array(value, dtype=np.float64)
+        array: np.ndarray = value if _is_fixed(value) else np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is not an array of numbers of shape {wanted}: {error}") from error
     fits = array.ndim == len(shape) and all(
@@ -113,6 +114,16 @@ def fixed_array(
         array = rounded
     array.setflags(write=False)
     return array
+
+
+def _is_fixed(value: ArrayLike) -> TypeGuard[np.ndarray]:
+    """Whether it is an array of `fixed_array`: nobody else has it in hand to write."""
+    return (
+        isinstance(value, np.ndarray)
+        and value.dtype == np.float64
+        and value.base is None
+        and not value.flags.writeable
+    )
 
 
 def fix_fields(

@@ -94,7 +94,7 @@ def test_directions_are_added_until_the_whole_range_is_served(problem, model):
 
 def test_columns_are_solved_for_in_slices(problem, model, monkeypatch):
     # The last slice is not full.
-    monkeypatch.setattr(module, "_SLICE", problem[1].terms.shape[2] - 1)
+    monkeypatch.setattr(module, "MODEL_COLUMNS", problem[1].terms.shape[2] - 1)
     sliced = make_reduced_model(*problem)
     for nu in (0.0, 0.4999):
         expected, _ = solution(model, nu)

@@ -133,10 +133,35 @@ def test_a_bench_without_a_rig_names_its_cameras(tmp_path):
     assert bench.board == Chessboard(9, 6, 0.02)
 
 
-def test_one_camera_is_refused(tmp_path):
-    text = HEAD.split("[rig]")[0] + CAMERAS[: CAMERAS.rindex("[[camera]]")] + FORCE
-    with pytest.raises(RecordError, match="is one camera; must be two or more"):
-        read(tmp_path, text)
+@pytest.mark.parametrize(
+    ("cameras", "words"), [("", "missing"), (CAMERAS[: CAMERAS.rindex("[[")], "one camera")]
+)
+def test_fewer_than_two_cameras_are_refused(tmp_path, cameras, words):
+    with pytest.raises(RecordError, match=f"is {words}; must be two or more, 20 to 40 degrees"):
+        read(tmp_path, HEAD.split("[rig]")[0] + cameras + FORCE)
+
+
+@pytest.mark.parametrize(
+    ("plugged", "words"),
+    [
+        ((), "needs no device$"),
+        (("video0", "video2"), r"found here: camera \S*video0, \S*video2 \(source = its number\)$"),
+        (("video0", "ttyACM0"), r"video0 \(source = its number\); serial line \S*ttyACM0$"),
+    ],
+)
+def test_a_bench_that_is_not_there(tmp_path, monkeypatch, plugged, words):
+    """It says how to get one, and what is plugged in."""
+    there = tmp_path / "dev"
+    there.mkdir()
+    for name in plugged:
+        (there / name).touch()
+    monkeypatch.setattr("palpate.bench.cameras._FILE", f"{there}/video{{}}")
+    monkeypatch.setattr("palpate.bench.gauges._DEVICES", str(there))
+    for source in (tmp_path, tmp_path / "bench.toml"):
+        with pytest.raises(
+            RecordError, match=f"`palpate init {tmp_path} --template webcams`.*{words}"
+        ):
+            read_bench(source)
 
 
 def test_the_template_of_init_is_a_bench(tmp_path):

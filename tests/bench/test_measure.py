@@ -14,7 +14,7 @@ from palpate.bench import DeviceError, measure, wanted_precision
 from palpate.bench.live_session import LiveSession
 from palpate.bench.measure import Wanted
 from palpate.errors import InputError
-from palpate.records import read_session
+from palpate.records import Status, read_session
 
 
 @pytest.fixture(scope="module")
@@ -150,8 +150,9 @@ def test_a_push_that_is_too_light_does_not_count(tmp_path):
 
 @pytest.mark.slow
 def test_a_push_that_cannot_be_fitted_is_taken_out_again(tmp_path, monkeypatch):
-    """And of the notes on the next one, those that are about it are said."""
+    """And of the notes on the next one, those that are about it are said; and what is uneven."""
     deep, other = "In n01 the tool went in by 20 % of the radius", "Support s turned"
+    uneven, status = "The modulus differs from place to place", Status.HETEROGENEOUS
     fits, fit = [], LiveSession.fit
 
     def failing(self, *arguments, **options):
@@ -159,7 +160,8 @@ def test_a_push_that_cannot_be_fitted_is_taken_out_again(tmp_path, monkeypatch):
         if len(fits) == 1:
             raise InputError("probing 'n01': the tool is buried")
         result = fit(self, *arguments, **options)
-        return replace(result, estimate=replace(result.estimate, notes=(other, deep)))
+        estimate = replace(result.estimate, notes=(uneven, other, deep), status=status)
+        return replace(result, estimate=estimate)
 
     monkeypatch.setattr(LiveSession, "fit", failing)
     script = Script()
@@ -168,6 +170,7 @@ def test_a_push_that_cannot_be_fitted_is_taken_out_again(tmp_path, monkeypatch):
     assert len(estimate.probes) == len(read_session(tmp_path).probings) == 1
     assert len(fits) == 2
     assert deep in script.told
+    assert uneven in script.told
     assert other not in script.told
 
 

@@ -141,6 +141,18 @@ def test_a_shadow_is_said(bench, depth):
     assert all(re.match(r"Camera 'c1' sees a shadow on [234]\d % of the object", x) for x in said)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("by_arm", [True, False])
+def test_a_gauge_at_the_end_of_its_range(bench, by_arm):
+    """At 0.5 N, of which the tool's weight is 0.2."""
+    given = drawn_bench() if by_arm else bench
+    given.force.limit = 0.5
+    _readings(lambda t, x: (t, np.minimum(x, 0.5)))(given)
+    script = Script() if by_arm else Script(on_tell=Hand(given))
+    with pytest.raises(InputError, match=r"the end of its range.* a gauge of a larger range"):
+        taken(given, script)
+
+
 def test_an_arm_that_is_stopped_lifts_off():
     """On its way down, before the force is reached."""
 

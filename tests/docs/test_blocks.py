@@ -8,11 +8,16 @@ import json
 import re
 import shlex
 import shutil
+import sys
+import time
+from pathlib import Path
 
 import pytest
 from docs.page_blocks import ROOT, blocks, lines
 
 from palpate.app.cli import main
+from palpate.bench import DeviceError, ForceSource
+from palpate.records import TomlTable
 
 
 def commands(text):
@@ -129,3 +134,30 @@ def test_the_first_screens_of_the_readme_leave_few_choices():
     assert len(text.splitlines()) <= 80
     assert len(re.findall(r"\]\(", text)) <= 10
     assert sum(len(lines(block)) for block in blocks("README.md", "sh")) <= 6
+
+
+def test_the_driver_of_the_guide_keeps_the_laws():
+    """A program that prints 1.5 N every hundredth of a second stands in for the gauge."""
+    source, line = blocks("docs/howto/driver.md", "python")
+    names = {"FORCE_DRIVERS": {}, "TomlTable": TomlTable}
+    exec(source, names)
+    exec(line, names)
+    code = "import time\nfor _ in range(60): print(1.5, flush=True); time.sleep(0.01)"
+    values = {"command": [sys.executable, "-c", code]}
+    gauge = names["FORCE_DRIVERS"]["pipe"](TomlTable(Path("bench.toml"), "[force]", values))
+    assert isinstance(gauge, ForceSource)
+    # Twice: again after an interruption.
+    for _ in range(2):
+        gauge.start()
+        times, forces, end = [], [], time.monotonic() + 20.0
+        while len(forces) < 60 and time.monotonic() < end:
+            when, newtons = gauge.read()
+            times += when.tolist()
+            forces += newtons.tolist()
+        gauge.process.wait()
+        with pytest.raises(DeviceError, match="has ended; see that the gauge is on"):
+            gauge.read()
+        assert forces == [1.5] * 60
+        assert times == sorted(times)
+        gauge.close()
+        gauge.close()

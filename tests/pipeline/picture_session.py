@@ -2,7 +2,7 @@
 
 import numpy as np
 from flow_samples import rig
-from scipy.sparse import csr_array, dia_array, kron
+from scipy.sparse import bsr_array, dia_array, kron
 
 from palpate.geometry import closest_points
 from palpate.pipeline import MotionNotes, ProbingMotion, with_motions
@@ -58,7 +58,7 @@ def _averages(points):
     count = len(points)
     mean = np.array([1 / 3, 1 / 3, 1 / 3])[:, None] * np.ones(count)
     rows = dia_array((mean, [0, 1, 2]), shape=(count - 2, count))
-    weights = csr_array(kron(rows, np.eye(3)))
+    weights = bsr_array(kron(rows, np.eye(3)), blocksize=(3, 3))
     return SurfaceAverage(points, weights).embedded(np.arange(count - 2), count)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cube_session import cube_session as cube_session
 from error_columns import columns_of, curvature_of
-from scipy.sparse import csr_array, kron
+from scipy.sparse import bsr_array, csr_array, kron
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from surfaces import box, sphere
@@ -401,7 +401,7 @@ def _seen_through_windows(session: Session) -> Session:
         mean = csr_array(
             (np.full(len(rows), 1 / 7), (rows, near[averaged].ravel())), (count, count)
         )
-        average = SurfaceAverage(field.points, csr_array(kron(mean, np.eye(3))))
+        average = SurfaceAverage(field.points, bsr_array(kron(mean, np.eye(3)), blocksize=(3, 3)))
         moved = field.displacement.copy()
         moved[averaged] = (mean @ field.displacement)[averaged]
         field = replace(field, displacement=moved, average=average)

@@ -21,6 +21,7 @@ from palpate.pipeline import (
     Material,
     NextProbings,
     fit_session,
+    fitted_body,
     graded_observations,
     make_object_model,
     places,
@@ -190,7 +191,7 @@ def test_a_plan_goes_on_from_another(found: NextProbings) -> None:
     contact = replace(first.contact, point=found.point[best])
     second = replace(first, name="m", contact=contact, force=found.force * found.inward[best])
     session = replace(session, probings=(first, second))
-    fitted = fit_session(session)
+    fitted = fitted_body(fit_session(session))
     memory = Memory()
     after = plan_next(session, fitted=fitted, known=found, cache=memory)
     # Only the place that was measured is left out, and the factors of the mesh are kept.

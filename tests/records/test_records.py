@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
+from scipy.sparse import bsr_array
 from surfaces import box
 
 from palpate.errors import InputError
@@ -44,7 +44,8 @@ def _field(**changes):
 def _average(blocks=((1.0, 0.0, 0.0), (0.25, 0.75, 0.0))):
     """Three points of the surface, and displacements that are sums of theirs."""
     points = np.array([[0.5, 0.5, 1.0], [0.25, 0.5, 1.0], [0.75, 0.5, 1.0]])
-    return SurfaceAverage(points, csr_array(np.kron(np.array(blocks), np.eye(3))))
+    weights = bsr_array(np.kron(np.array(blocks), np.eye(3)), blocksize=(3, 3))
+    return SurfaceAverage(points, weights)
 
 
 def _probing(**changes):
@@ -233,7 +234,7 @@ def test_weights_of_points_that_are_not_there_are_refused():
         (good.data, good.indices + 10**6, good.indptr),
         (good.data, good.indices, good.indptr[::-1].copy()),
     ):
-        bad = csr_array(good.shape)
+        bad = bsr_array(good.shape, blocksize=(3, 3))
         bad.data, bad.indices, bad.indptr = parts
         with pytest.raises(InputError, match="weights are no matrix"):
             SurfaceAverage(np.zeros((3, 3)), bad)

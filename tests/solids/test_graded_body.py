@@ -70,7 +70,8 @@ def test_both_ways_to_the_derivatives_agree(body, forces):
     moved, seen = at.displacements(forces), np.eye(len(forces))[:, 60:90]
     expected = at.sensitivities(at.displacements(seen), moved, basis)
     change = at.changes(moved, basis)[:, 60:90]
-    assert np.abs(change - expected).max() < 1e-10 * np.abs(expected).max()
+    # One of them in single precision.
+    assert np.abs(change - expected).max() < 1e-7 * np.abs(expected).max()
 
 
 def test_scaling_the_modulus_divides_the_displacement(body, forces):
@@ -80,7 +81,7 @@ def test_scaling_the_modulus_divides_the_displacement(body, forces):
     moved, seen = at.displacements(forces), np.eye(len(forces))[:, 60:90]
     derivative = at.sensitivities(at.displacements(seen), moved, np.ones((len(field), 1)))
     assert np.allclose(
-        derivative[:, :, 0].T, -moved[60:90], rtol=1e-9, atol=1e-12 * np.abs(moved).max()
+        derivative[:, :, 0].T, -moved[60:90], rtol=1e-7, atol=1e-9 * np.abs(moved).max()
     )
 
 

@@ -47,7 +47,7 @@ MOST_DIRECTIONS = 80
 DENSE_RESIDUAL = 1e-8
 # Right-hand sides that are solved for together: enough for the full speed of matrix products, and
 # not all of them, as it takes several times the memory of their solutions.
-_SLICE = 64
+MODEL_COLUMNS = 64
 _TINY = np.finfo(float).tiny
 # Poisson's ratios over the range at which the residual is evaluated.
 _TRAINING_RATIOS = 41
@@ -389,8 +389,8 @@ def _krylov_model(
         active, complete = columns[-1], np.setdiff1d(every, columns[-1])
         places = [np.searchsorted(present, active) for present in columns[2:]]
         next_ones = np.empty(directions[-1].shape, order="F")
-        for begin in range(0, len(active), _SLICE):
-            part = slice(begin, begin + _SLICE)
+        for begin in range(0, len(active), MODEL_COLUMNS):
+            part = slice(begin, begin + MODEL_COLUMNS)
             vectors = solve_at_centre(apply_slope(directions[-1][:, part]))
             own_places = [index[part] for index in places]
             next_ones[:, part], step = orthogonalised(vectors, directions[2:], own_places)

@@ -16,6 +16,7 @@ from palpate.bem.compressed.system import CompressedSystem
 from palpate.bem.loads.right_hand import RightHand
 from palpate.bem.reduced_model import (
     CENTRE,
+    MODEL_COLUMNS,
     SolutionModel,
     make_reduced_model,
     reduced_basis,
@@ -34,6 +35,12 @@ _SNAPSHOT_RESIDUAL = 5e-7
 @runtime_checkable
 class Solver(Protocol):
     """Solves one system for any right-hand sides and materials."""
+
+    @property
+    def together(self) -> int | None:
+        """Right-hand sides of which one reduced model is best made, as several models share all
+        that is costly; None: of all."""
+        ...
 
     def prepare(self) -> None:
         """Compute now, and keep in the system's `checkpoints`, what serves all right-hand sides.
@@ -100,6 +107,11 @@ class _DirectSolver:
     system: BoundarySystem
     shared: CentredSystem | None
 
+    @property
+    def together(self) -> int | None:
+        """As of a `Solver`: factors that are in memory serve all models."""
+        return MODEL_COLUMNS if self.system.checkpoints.in_memory else None
+
     def prepare(self) -> None:
         """As of a `Solver`."""
         _ = (self.shared or CentredSystem(self.system, CENTRE)).factorised
@@ -129,6 +141,7 @@ class _IterativeSolver:
     """
 
     system: CompressedSystem
+    together: int | None = None
 
     def prepare(self) -> None:
         """As of a `Solver`: there is nothing to prepare."""

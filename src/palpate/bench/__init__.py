@@ -4,7 +4,7 @@ Purpose    : drive cameras, a gauge and an arm, or guide a person, push after pu
              constants are known as well as wanted.
 Takes      : bench.toml, or a configuration of the virtual laboratory; answers to questions.
 Gives      : a session's folder that is whole after each push, and its `Estimate`.
-Depends on : `viewer`, `figures`, `pipeline`, `estimation`, `calibration`, `recording`,
+Depends on : `viewer`, `figures`, `pipeline`, `calibration`, `recording`,
              `scanning`, `lab`, `solids`, `vision`, `records`, `geometry`.
 Read first : `devices.py`, `questions.py`, `measure.py`, then `pushing.py`, `calibrating.py`,
              `turning.py`,

@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 
 from palpate.bench.arms import ArmLimits, GuardedArm
-from palpate.bench.cameras import opencv_camera
+from palpate.bench.cameras import opencv_camera, shown_cameras
 from palpate.bench.devices import Arm, Camera, ForceSource
-from palpate.bench.gauges import GAUGES, SerialGauge, TableGauge, TypedForce
+from palpate.bench.gauges import GAUGES, SerialGauge, TableGauge, TypedForce, shown_ports
 from palpate.bench.genicam import genicam_camera
 from palpate.bench.realsense import realsense_camera
 from palpate.bench.universal_robot import universal_robot
 from palpate.bench.virtual import DrawnBody, VirtualWorld, rendered_body, virtual_devices
 from palpate.calibration import TARGET_KINDS, Charuco, Target, make_target
 from palpate.disk import write_bytes
-from palpate.errors import InputError, quoted
+from palpate.errors import InputError, RecordError, quoted
 from palpate.geometry import write_mesh
 from palpate.lab import (
     LabConfig,
@@ -40,6 +40,7 @@ from palpate.records import (
     Rig,
     TomlTable,
     covariance_file,
+    nearest_file,
     read_rig,
     read_toml,
     write_rig,
@@ -133,7 +134,10 @@ def read_bench(source: Path | str) -> Bench:
     if str(source) == VIRTUAL:
         return virtual_bench(read_lab_config(built_in()["demo"]))
     path = Path(source)
-    root = read_toml(path / "bench.toml" if path.is_dir() else path)
+    file = path / "bench.toml" if path.is_dir() else path
+    if not file.exists():
+        raise RecordError(_no_bench(file))
+    root = read_toml(file)
     if root.values.get("format") == "palpate-lab/1":
         return virtual_bench(read_lab_config(root.file))
     root.check_keys(_KEYS)
@@ -167,6 +171,21 @@ def read_bench(source: Path | str) -> Bench:
         hold=_HOLD if hold is None else hold,
         force_std=force.optional("std", lambda key: force.quantity(key, FORCE_UNITS)) or 0.0,
         board=read_board(root.table("board")) if "board" in root.values else None,
+    )
+
+
+def _no_bench(file: Path) -> str:
+    """That a bench is not there, with a way to one, and what is plugged in."""
+    cameras, ports = shown_cameras(), shown_ports()
+    plugged = [
+        f"camera {', '.join(cameras)} (source = its number)" if cameras else "",
+        f"serial line {', '.join(ports)}" if ports else "",
+    ]
+    found = f"; found here: {'; '.join(filter(None, plugged))}" if any(plugged) else ""
+    return (
+        f"{file}: there is no such file{nearest_file(file)}. `palpate init {file.parent} --template"
+        " webcams` writes one for two webcams and a kitchen scale, to be filled in, and `palpate"
+        f" measure virtual` needs no device{found}"
     )
 
 
@@ -296,7 +315,7 @@ def _cameras(root: TomlTable, rig: Rig | None) -> tuple[Camera, ...]:
     cameras: dict[str, Camera] = {}
     sources: dict[str, str] = {}
     names = [camera.name for camera in rig.cameras] if rig else []
-    for table in root.tables("camera"):
+    for table in root.optional("camera", root.tables) or ():
         name = table.choice("name", names) if rig else table.label("name")
         if name in cameras:
             table.fail("name", f"camera '{name}' is there twice; give each its own name")
@@ -309,7 +328,8 @@ def _cameras(root: TomlTable, rig: Rig | None) -> tuple[Camera, ...]:
         sources[source] = name
         cameras[name] = _driver(table, CAMERA_DRIVERS)
     if len(cameras) < 2:
-        root.fail("[[camera]]", "is one camera; must be two or more, 20 to 40 degrees apart")
+        count = "one camera" if cameras else "missing"
+        root.fail("[[camera]]", f"is {count}; must be two or more, 20 to 40 degrees apart")
     if missing := [name for name in names if name not in cameras]:
         root.fail("[[camera]]", f"the rig's cameras {', '.join(missing)} have no table")
     return tuple(cameras[name] for name in names or cameras)

@@ -71,14 +71,19 @@ def live_pictures(source: int | str, size: tuple[int, int] | None) -> Iterator[A
         yield np.asarray(grey), time.monotonic()
 
 
+def shown_cameras() -> list[str]:
+    """The cameras that Linux shows as files; their numbers are what a source can be."""
+    every = Path(_FILE.format("*"))
+    return [str(file) for file in sorted(every.parent.glob(every.name))]
+
+
 def _unopened(source: int | str) -> str:
     """Why a camera with a number does not open, where Linux shows it as a file."""
     if not (isinstance(source, int) and sys.platform == "linux"):
         return ""
     file = Path(_FILE.format(source))
-    others = sorted(file.parent.glob(Path(_FILE.format("*")).name))
     if not file.exists():
-        return f": there is no {file}, but {', '.join(map(str, others)) or 'no camera at all'}"
+        return f": there is no {file}, but {', '.join(shown_cameras()) or 'no camera at all'}"
     if not os.access(file, os.R_OK | os.W_OK):
         return f": you may not use {file}; join its group, {file.group()}"
     return f", though {file} is there: another program has it, or it is no camera"

@@ -18,6 +18,8 @@ from palpate.records import FORCE_UNITS
 _SILENT, _GARBAGE = 2.0, 5
 # Longest piece of a line or table that is kept for the next call [bytes].
 _LONGEST = 65536
+# Where serial lines are shown, and their names.
+_DEVICES, _PORTS = "/dev", ("ttyUSB*", "ttyACM*", "tty.usb*")
 _NUMBER = rb"(?P<value>[-+]?\d+(?:\.\d*)?|[-+]?\.\d+)"
 Readings = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 
@@ -59,6 +61,11 @@ GAUGES = {
     "sauter": SerialProtocol(rb"(?P<sign>[01])(?P<value>[\d.]{6})", b"9"),
     "hx711": SerialProtocol(_NUMBER + rb" *(?P<unit>kgf|gf|mN|N)?\r?\n", baud=115200),
 }
+
+
+def shown_ports() -> list[str]:
+    """Serial lines of USB adapters and boards that Linux and macOS show as files."""
+    return sorted(str(file) for pattern in _PORTS for file in Path(_DEVICES).glob(pattern))
 
 
 class SerialGauge:

@@ -18,15 +18,17 @@ from palpate.bench.questions import Pictures
 from palpate.checkpoints import Cache, Memory
 from palpate.disk import atomic_replacement, write_bytes
 from palpate.errors import InputError, RecordError
-from palpate.estimation import FitResult
 from palpate.geometry import TriangleMesh, bounding_diagonal
 from palpate.pipeline import (
+    FittedBody,
     Material,
     NextProbings,
     ProbingMotion,
     fit_session,
+    fitted_body,
     measure_pictures,
     plan_next,
+    rigid_modes,
     survey_cameras,
     survey_probing,
     survey_view,
@@ -49,7 +51,7 @@ from palpate.records import (
     read_supports,
     read_toml,
 )
-from palpate.shapes import Vector3
+from palpate.shapes import Points, Vector3
 from palpate.vision import JointFlow, is_valid, picture_path, read_pictures
 
 _IMAGES, _REST, _LOADED = "images", "images/{}_rest_{{camera}}.png", "images/{}_{{camera}}.png"
@@ -61,6 +63,12 @@ _FOLLOWED = 0.8
 # An object that has moved by more than this share of its size since the first push, and by more
 # than so many standard deviations, has been moved.
 _MOVED, _SURE = 2e-3, 5.0
+# An object slid that stands elsewhere after a push than before it by more than this share of what
+# then goes back (rms): up to the same share of its modulus would be wrong. Spacing of the points in
+# which that is seen [px].
+_SLID, _STEP = 0.05, 9
+# What is still deformed by more of the push, a moment after it, is still pressed.
+_STILL_PRESSED = 0.5
 # Standard deviation of a push's direction about each axis [rad]: 3 degrees, and 1 degree.
 _TURNED_BY_HAND, _TURNED_BY_ARM = 0.05, 0.017
 # Pushes that are planned ahead, to say how many more are needed.
@@ -96,6 +104,8 @@ class LiveSession:
         self._plan: NextProbings | None = None
         self._model: ContactModel | None = None
         self._first: tuple[Any, JointFlow] | None = None
+        # A push after which no pictures were taken yet.
+        self._open: TakenPush | None = None
         (folder / _IMAGES).mkdir(exist_ok=True)
         if (folder / "session.toml").exists():
             self._go_on()
@@ -169,7 +179,7 @@ class LiveSession:
     def moved(self, pictures: Pictures) -> float:
         """How far the object has moved since before the first push [m]; 0 where that is no more
         than can be seen."""
-        grey = tuple(picture.astype(np.float32) for picture in pictures)
+        grey = _grey(pictures)
         if self._first is None:
             method, first = JointFlow(), grey
             if self.count:
@@ -203,7 +213,8 @@ class LiveSession:
 
         Raises
         ------
-        PushError                   too light, or nothing can be followed; nothing was added
+        PushError                   too light, nothing can be followed, the object slid; nothing
+                                    was added
         """
         name = f"n{self.count + 1:02d}"
         self._write(_REST.format(name), taken.rest)
@@ -216,6 +227,8 @@ class LiveSession:
             "images": {"rest": _REST.format(name), "loaded": [_LOADED.format(name)]},
         }
         content = self.content | {"probe": [*self.content["probe"], probe]}
+        if taken.after is not None:
+            self._check_place(taken, taken.after)
         with atomic_replacement(self.file) as staged:
             staged.write_text(tomlkit.dumps(content), encoding="utf-8")
             motions = self._measured(read_session(staged), name)
@@ -224,11 +237,21 @@ class LiveSession:
                 staged.write_text(tomlkit.dumps(content), encoding="utf-8")
                 read_session(staged)
         self.content, self._motions = content, motions
+        self._open = taken if taken.after is None else None
         return self.measured()
+
+    def slid_since(self, rest: Pictures) -> float:
+        """How far the object slid under the last push [m], by the pictures at rest before the next
+        one; 0 where it did not, or where that was seen when it was added."""
+        return 0.0 if self._open is None else self._remains(self._open, rest)[0]
 
     def withdraw(self) -> None:
         """Take the last push out again."""
-        self.content = self.content | {"probe": self.content["probe"][:-1]}
+        *probes, last = self.content["probe"]
+        self.content = self.content | {"probe": probes}
+        # The next one will have its name.
+        self._motions = {k: v for k, v in self._motions.items() if k != last["name"]}
+        self._open = None
         if self.count:
             write_bytes(self.file, tomlkit.dumps(self.content).encode())
         else:
@@ -240,12 +263,14 @@ class LiveSession:
         self._motions = measure_pictures(session, known=self._motions)
         return with_motions(session, self._motions)
 
-    def fit(self, measured: Session, *, progress: Progress = silent) -> FitResult:
+    def fit(self, measured: Session, *, progress: Progress = silent) -> FittedBody:
         """The constants, as `palpate fit` finds them."""
-        return fit_session(measured, cache=self._cache, material=Material.AUTO, progress=progress)
+        return fitted_body(
+            fit_session(measured, cache=self._cache, material=Material.AUTO, progress=progress)
+        )
 
     def plan(
-        self, measured: Session, fitted: FitResult, *, progress: Progress = silent
+        self, measured: Session, fitted: FittedBody, *, progress: Progress = silent
     ) -> NextProbings:
         """The next pushes, as `plan_next` finds them, with what it found after the last push."""
         self._plan = plan_next(
@@ -292,6 +317,48 @@ class LiveSession:
             )
         return motions
 
+    def _check_place(self, taken: TakenPush, after: Pictures) -> None:
+        """Refuse a push after which the object is not where it was."""
+        slid, pressed = self._remains(taken, after)
+        if pressed > _STILL_PRESSED:
+            raise PushError(
+                f"{100 * min(pressed, 1.0):.0f} % of it is seen after the tool was lifted: does a"
+                " camera deliver late, does the tool stick, or does the object hardly spring back?"
+            )
+        if slid:
+            raise PushError(
+                f"the object slid by {1e3 * slid:.2g} mm under it: glue or tape it down, or press"
+                " less hard"
+            )
+
+    def _remains(self, taken: TakenPush, after: Pictures) -> tuple[float, float]:
+        """How far the object stands from where it stood before a push [m], 0 where that is little
+        of what went back; and how much of its deformation is still there. What creeps back later is
+        no slide: it is like what went back."""
+        method = JointFlow(step=_STEP)
+        state = method.start(self.rig, _grey(taken.rest), self.mesh)
+        loaded, left = (method.follow(state, _grey(x))[1] for x in (taken.loaded, after))
+        both = is_valid(loaded) & is_valid(left)
+        if not both.any():
+            return 0.0, 0.0
+        points, moved, remains = (
+            left.point[both],
+            loaded.displacement[both],
+            left.displacement[both],
+        )
+        noise = [float(np.trace(x.covariance[both].mean(axis=0))) for x in (left, loaded)]
+        back = moved - remains
+        slid = _rms(rigid_part(points, remains, like=back))
+        # Seven numbers of all components.
+        sigma = np.sqrt(noise[0] * 7.0 / remains.size)
+        shapes = [
+            max(_rms(x - rigid_part(points, x)) ** 2 - known, 0.0)
+            for x, known in zip((remains, moved), noise, strict=True)
+        ]
+        # Of noise alone nothing; of what is seen afterwards only, all.
+        pressed = float(np.sqrt(shapes[0] / shapes[1])) if shapes[1] else float(shapes[0] > 0.0)
+        return slid if slid > max(_SLID * _rms(back), _SURE * sigma) else 0.0, pressed
+
     def _found_contact(self, motion: ProbingMotion, force: Vector3) -> dict[str, Any]:
         """Contact point with its standard deviation, from the motion of the surface."""
         if self._model is None:
@@ -318,3 +385,31 @@ class LiveSession:
         key = "radius" if "radius" in self.contact else "tool_radius"
         share = 1.0 if key == "radius" else _TOUCHED
         return share * table.quantity(key, LENGTH_UNITS, self.metres)
+
+
+def rigid_part(points: Points, moved: Points, *, like: Points | None = None) -> Points:
+    """The rigid motion in a displacement that is one, and a multiple of another displacement.
+
+    Parameters
+    ----------
+    points, moved : (n, 3) float [m]
+    like : (n, 3) float [m] or None     None: a rigid motion alone
+
+    Returns
+    -------
+    (n, 3) float [m]                of the points
+    """
+    modes = rigid_modes(points, points.mean(axis=0))
+    modes = modes / np.linalg.norm(modes, axis=(0, 1))
+    if like is not None:
+        modes = np.concatenate([modes, like[..., None] / np.linalg.norm(like)], axis=2)
+    share = np.linalg.lstsq(modes.reshape(3 * len(points), -1), moved.ravel())[0]
+    return np.asarray(modes[..., :6] @ share[:6])
+
+
+def _rms(vectors: Points) -> float:
+    return float(np.sqrt((vectors**2).sum(axis=1).mean()))
+
+
+def _grey(pictures: Pictures) -> tuple[np.ndarray, ...]:
+    return tuple(picture.astype(np.float32) for picture in pictures)

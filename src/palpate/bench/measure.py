@@ -50,6 +50,7 @@ from palpate.records import (
     Constant,
     Estimate,
     Session,
+    Status,
     TomlTable,
     read_object_mesh,
     read_toml,
@@ -166,7 +167,7 @@ def measure(
         bench = replace(bench, rig=session.rig)
         questions.known(session.rig)
         questions.body(session.mesh, session.bare.held_triangles)
-        places = [first_place(session.bare, radius=session.contact_radius)]
+        first = places = [first_place(session.bare, radius=session.contact_radius)]
         if dry_run:
             _rehearse(bench, questions, session, *places[0])
             return None
@@ -186,6 +187,9 @@ def measure(
             except _MovedAway:
                 further = _beside(bench, session, questions)
                 break
+            except _Withdrawn:
+                estimate, places = judge(session.measured()) if session.count else (None, first)
+                continue
             if measured is None:
                 break
             try:
@@ -203,6 +207,10 @@ def measure(
 
 class _MovedAway(Exception):
     """The object is no longer where the session has it."""
+
+
+class _Withdrawn(Exception):
+    """The last push does not count after all."""
 
 
 def _beside(bench: Bench, session: LiveSession, questions: Questions) -> tuple[Bench, Path]:
@@ -381,8 +389,16 @@ def _push(
             taken = take_push(bench, questions, session.mesh, point, inward)
             with questions.working() as progress:
                 progress("displacements from the pictures", 0.0)
-                moved = session.moved(taken.rest)
-                measured = None if moved else session.add(taken, point, inward)
+                slid, moved = session.slid_since(taken.rest), session.moved(taken.rest)
+                measured = None if moved or slid else session.add(taken, point, inward)
+            if slid:
+                questions.tell(
+                    f"Push {session.count} does not count after all, nor does this one: the object"
+                    f" slid by {1e3 * slid:.2g} mm under it, or was moved since; glue or tape it"
+                    " down, or press less hard"
+                )
+                session.withdraw()
+                raise _Withdrawn
             if measured is not None:
                 questions.tell(f"Push {session.count} is taken: {taken.force:.3g} N")
                 return measured
@@ -418,9 +434,11 @@ def _judged(
         result = session.fit(measured, progress=progress)
     estimate = result.estimate
     questions.tell(f"After push {session.count}: {verdict_text(estimate)}")
-    for note in estimate.notes:
-        # Such as a push that went too deep for the model.
-        if measured.probings[-1].name in note and BIASED not in note:
+    # What differs from place to place or contradicts the model, and what is about this push, such
+    # as that it went too deep.
+    uneven = estimate.status in (Status.HETEROGENEOUS, Status.MODEL_CONTRADICTED)
+    for k, note in enumerate(estimate.notes):
+        if BIASED not in note and (measured.probings[-1].name in note or (uneven and k == 0)):
             questions.tell(note)
     questions.judged(estimate)
     try:

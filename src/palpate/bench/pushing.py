@@ -63,6 +63,8 @@ _STEPS, _TURN = 100, 0.2
 # depth. What bears the wanted force at the largest depth bears 6 % at a quarter of it (under a
 # cone, whose force rises latest; 12 % under a ball), and 3 % where the surface is a tenth lower.
 _FELT = 0.02
+# Share of a gauge's range from which on it is at its end.
+_FULL = 0.999
 # Pause while a reading is waited for [s]; directions that differ by less are the same.
 _PAUSE, _SAME = 2e-3, 1e-6
 # Standard deviation of a force that was read by eye, over the force.
@@ -71,6 +73,8 @@ _BY_EYE = 0.02
 # second shows 0.2 % in a second and a half; above 3 % a second it is not held at all.
 _CREEPS = 0.02
 _Grey = tuple[np.ndarray, ...]
+# Pictures at rest, under load and afterwards; force and its standard deviation [N].
+_Push = tuple[Pictures, Pictures, Pictures | None, tuple[float, float]]
 
 
 class PushError(InputError):
@@ -84,12 +88,14 @@ class TakenPush:
     Attributes
     ----------
     rest, loaded : Pictures         before it, and while it was held; of each camera
+    after : Pictures or None        once the tool is off; None: the next push's rest shows that
     force : float [N]               of the tool, along the inward normal
     force_std : float [N]
     """
 
     rest: Pictures
     loaded: Pictures
+    after: Pictures | None
     force: float
     force_std: float
 
@@ -277,11 +283,12 @@ def take_push(
     watch, where = _Watch(bench, questions), f"{(np.round(1e3 * point, 1) + 0.0).tolist()} mm"
     if bench.arm is not None:
         questions.tell(f"The arm presses at {where}")
-        rest, loaded, (force, std) = _by_arm(bench, bench.arm, watch, mesh, point, inward)
+        push = _by_arm(bench, bench.arm, watch, mesh, point, inward)
     elif isinstance(bench.force, TypedForce):
-        rest, loaded, (force, std) = _typed(bench.force, questions, watch, where)
+        push = _typed(bench.force, questions, watch, where)
     else:
-        rest, loaded, (force, std) = _by_hand(bench, questions, watch, where)
+        push = _by_hand(bench, questions, watch, where)
+    rest, loaded, _, (force, std) = push
     if (sharp := _sharpness(loaded, rest)) < _BLUR:
         raise PushError(
             f"the pictures under load are blurred, {100 * sharp:.0f} % as sharp as those at rest:"
@@ -297,7 +304,7 @@ def take_push(
     if bench.direction is not None:
         # A tool that slides presses along the normal: the scale reads one component of that.
         force, std = (x / float(inward @ bench.direction) for x in (force, std))
-    return TakenPush(rest, loaded, force, float(np.hypot(std, bench.force_std)))
+    return TakenPush(*push[:3], force, float(np.hypot(std, bench.force_std)))
 
 
 def _at_rest(questions: Questions, watch: _Watch, where: str) -> Pictures:
@@ -306,9 +313,7 @@ def _at_rest(questions: Questions, watch: _Watch, where: str) -> Pictures:
     return watch.seen_for(_REST)
 
 
-def _by_hand(
-    bench: Bench, questions: Questions, watch: _Watch, where: str
-) -> tuple[Pictures, Pictures, tuple[float, float]]:
+def _by_hand(bench: Bench, questions: Questions, watch: _Watch, where: str) -> _Push:
     """A person presses, the gauge says when it is held and when it is over."""
     rest = _at_rest(questions, watch, where)
     questions.tell(f"Press straight in near {where}, and hold still for {bench.hold:g} s")
@@ -329,12 +334,11 @@ def _by_hand(
         force = watch.force() or force
         if time.monotonic() - begun > 2.0 * _PATIENCE:
             raise PushError("the tool was not lifted off, so the gauge's zero is not known")
-    return rest, loaded, _size(force.reading(), questions)
+    after = watch.seen_for(_REST)
+    return rest, loaded, after, _size(force.reading(), questions)
 
 
-def _typed(
-    force: TypedForce, questions: Questions, watch: _Watch, where: str
-) -> tuple[Pictures, Pictures, tuple[float, float]]:
+def _typed(force: TypedForce, questions: Questions, watch: _Watch, where: str) -> _Push:
     """A person presses and reads the force."""
     rest = _at_rest(questions, watch, where)
     questions.wait(f"Press straight in near {where}, and hold still")
@@ -346,7 +350,7 @@ def _typed(
         except InputError as error:
             questions.tell(str(error))
         else:
-            return rest, loaded, (newtons, _BY_EYE * newtons)
+            return rest, loaded, None, (newtons, _BY_EYE * newtons)
 
 
 def _by_arm(
@@ -356,7 +360,7 @@ def _by_arm(
     mesh: TriangleMesh,
     point: Vector3,
     inward: Vector3,
-) -> tuple[Pictures, Pictures, tuple[float, float]]:
+) -> _Push:
     """The arm approaches along the normal, presses to a force, holds, and retracts."""
     limits, wanted = arm.limits, float(bench.push_force or 0.0)
     above = point - limits.depth * inward
@@ -376,13 +380,13 @@ def _by_arm(
         finally:
             arm.move(above, inward, limits.speed)
         watch.state = "lifts off"
-        watch.seen_for(_REST)
+        after = watch.seen_for(_REST)
     except DeviceError:
         arm.stop()
         raise
     if (force := watch.force()) is None:
         raise PushError("the gauge shows no push that was held; is it in line with the tool?")
-    return rest, loaded, _size(force.reading(), watch.questions)
+    return rest, loaded, after, _size(force.reading(), watch.questions)
 
 
 def _press(arm: GuardedArm, watch: _Watch, point: Vector3, inward: Vector3, wanted: float) -> None:
@@ -397,6 +401,12 @@ def _press(arm: GuardedArm, watch: _Watch, point: Vector3, inward: Vector3, want
         force = abs(watch.reading[-1] - zero)
         if force >= wanted:
             return
+        limit = watch.bench.force.limit
+        if limit is not None and abs(watch.reading[-1]) >= _FULL * limit:
+            raise DeviceError(
+                f"the arm was stopped: at {force:.2g} N of {wanted:g} N the gauge is at the end of"
+                f" its range, {limit:g} N; ask for less force, or take a gauge of a larger range"
+            )
         arm.felt(force)
         forces.append(force)
         if depth < 0.25 * limits.depth:

@@ -29,7 +29,10 @@ from palpate.estimation.measured_components import (
     MeasuredComponents as MeasuredComponents,
     observed_rows_of as observed_rows_of,
 )
-from palpate.estimation.normal_equations import Evaluation as Evaluation
+from palpate.estimation.normal_equations import (
+    Evaluation as Evaluation,
+    information_of_common as information_of_common,
+)
 from palpate.estimation.observations import (
     PLACES as PLACES,
     Nuisance as Nuisance,
@@ -50,3 +53,4 @@ from palpate.estimation.predictions import (
     ProbeFit as ProbeFit,
     predictions_of as predictions_of,
 )
+from palpate.estimation.unknown_error import UnknownRows as UnknownRows

@@ -1,7 +1,7 @@
 """Gauss-Newton equations of the objective, with the parameters of each probing eliminated, and the
 covariances that follow from them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -105,11 +105,13 @@ class Evaluation:
     problem : Problem
     theta : (n,) float
     converged : bool                whether a search ended here, at a minimum
+    known_residual : sequence or None   `residual`, where it is known from elsewhere
     """
 
     problem: Problem
     theta: Float[np.ndarray, " t"]
     converged: bool = False
+    known_residual: Sequence[Float[np.ndarray, " _"]] | None = None
 
     @property
     def poisson_ratio(self) -> float:
@@ -128,7 +130,7 @@ class Evaluation:
     @property
     def residual(self) -> list[Float[np.ndarray, " _"]]:
         """Measured minus predicted displacement of each probing's rows, (r,) [m]."""
-        return self._linearised[0]
+        return self._linearised[0] if self.known_residual is None else list(self.known_residual)
 
     @property
     def jacobian(self) -> list[Float[np.ndarray, "_ _"]]:
@@ -192,12 +194,50 @@ class Evaluation:
 
 
 def _normal_equations(at: Evaluation) -> NormalEquations:
+    parts, gradients, inner, solutions = zip(*_eliminated(at, at.jacobian), strict=True)
+    precision, d = at.problem.precision(), at.problem.layout.common
+    prior = precision[:d]
+    return NormalEquations(
+        np.diag(prior) + np.sum(parts, axis=0),
+        np.sum(gradients, axis=0) - prior * at.theta[:d],
+        np.stack(parts),
+        np.stack(gradients),
+        inner,
+        solutions,
+    )
+
+
+def information_of_common(
+    at: Evaluation,
+) -> tuple[Float[np.ndarray, "d d"], Float[np.ndarray, " d"]]:
+    """Information about the common parameters and minus half the gradient by these, all others
+    eliminated, as `Evaluation.normal` has them; of one probing after the other, and none is kept.
+
+    Parameters
+    ----------
+    at : Evaluation                 with many common parameters: then its tables are large
+    """
+    problem, d = at.problem, at.problem.layout.common
+    tables = (problem.table(k, at.theta) for k in range(len(problem.probes)))
+    prior = problem.precision()[:d]
+    information, gradient = np.diag(prior), -prior * at.theta[:d]
+    for part, own, _, _ in _eliminated(at, tables):
+        information += part
+        gradient += own
+    return information, gradient
+
+
+def _eliminated(
+    at: Evaluation, jacobian: Iterable[Float[np.ndarray, "_ _"]]
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """What each probing contributes to the equations of the common parameters, (d, d) and (d,), the
+    information about its own parameters, and how these follow from the common ones
+    (`NormalEquations`)."""
     problem, theta, layout = at.problem, at.theta, at.problem.layout
     precision, d = problem.precision(), layout.common
     factor, variances = at.curvature_factor(), problem.variance()
-    parts, gradients, inner, solutions = [], [], [], []
     for index, (block, table, row) in enumerate(
-        zip(layout.blocks, at.jacobian, at.residual, strict=True)
+        zip(layout.blocks, jacobian, at.residual, strict=True)
     ):
         weight = at.weights[index] / variances[index]
         products = gram(problem, index, np.vstack([table, row]), weight)
@@ -210,19 +250,9 @@ def _normal_equations(at: Evaluation) -> NormalEquations:
         solution = np.linalg.solve(
             own_information, np.column_stack([information[d:, :d], own_score])
         )
-        parts.append(information[:d, :d] - information[:d, d:] @ solution[:, :d])
-        gradients.append(score[:d] - information[:d, d:] @ solution[:, d])
-        inner.append(own_information)
-        solutions.append(solution)
-    prior = precision[:d]
-    return NormalEquations(
-        np.diag(prior) + np.sum(parts, axis=0),
-        np.sum(gradients, axis=0) - prior * theta[:d],
-        np.stack(parts),
-        np.stack(gradients),
-        tuple(inner),
-        tuple(solutions),
-    )
+        part = information[:d, :d] - information[:d, d:] @ solution[:, :d]
+        gradient = score[:d] - information[:d, d:] @ solution[:, d]
+        yield part, gradient, own_information, solution
 
 
 def gram(

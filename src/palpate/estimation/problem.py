@@ -206,6 +206,7 @@ class Problem:
         probes: tuple[MeasuredComponents, ...],
         shared: tuple[NuisanceParameter, ...],
         theta: Float[np.ndarray, " _"],
+        unknown: tuple[UnknownRows, ...] | None = None,
     ) -> "Problem":
         """The objective of other probings with the same noise, about the constants of a vector: for
         a single point; for more it is to be `expanded`.
@@ -215,9 +216,11 @@ class Problem:
         probes : tuple of MeasuredComponents
         shared : tuple of NuisanceParameter     that they share, with others as well
         theta : (n,) float                      begins with Poisson's ratio and log G
+        unknown : tuple of UnknownRows or None  of these probings, where that is known
         """
         expansions = Expansions(probes, shared, float(theta[0]))
-        unknown = _unknown(probes, shared, expansions, float(np.exp(theta[1])))
+        if unknown is None:
+            unknown = _unknown(probes, shared, expansions, float(np.exp(theta[1])))
         return replace(
             self, probes=probes, shared=shared, unknown=unknown, expansions=expansions,
             layout=_layout(probes, shared, unknown),
@@ -267,6 +270,10 @@ class Problem:
             residuals.append(probe.measured - moved - unknown.moved(theta[block.unknown]))
             derivatives.append(table)
         return residuals, derivatives
+
+    def table(self, index: int, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, "s r"]:
+        """The derivative of one probing's prediction, as `linearised`."""
+        return self._predicted(index, theta, self.expansions[index])[1]
 
     def load(self, index: int, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, " c"]:
         """Load of one probing, one entry for each column of `ResponseModel`: force and 1 over the

@@ -22,9 +22,10 @@ Components: Moakher and Norris, The closest elastic tensor of arbitrary symmetry
 tensor of lower symmetry, Journal of Elasticity 85 (2006), section 2.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -34,15 +35,31 @@ from scipy.spatial import cKDTree
 
 from palpate.checkpoints import Cache, Memory, content_digest
 from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
-from palpate.field.field_fit import information_about, log_bayes_factor, make_model, modes_in
+from palpate.field.field_fit import (
+    SAME_RATIO,
+    information_about,
+    log_bayes_factor,
+    make_model,
+    modes_in,
+)
 from palpate.field.field_prior import STDS, best_evidence
-from palpate.field.field_responses import FieldExpansion, FieldModel, PushModel, smooth_prior
+from palpate.field.field_responses import (
+    FieldExpansion,
+    FieldModel,
+    MadeInParts,
+    PushModel,
+    smooth_prior,
+)
 from palpate.geometry import TriangleMesh, triangle_areas, unit_normals
 from palpate.records import Session
 from palpate.solids import GradedBody, GradedStiffness, with_moduli
 
 # Number of elements with which to ask.
 _FEW = 1000
+# Poisson's ratio from which on it counts to the last digit.
+_NO_VOLUME = 0.45
+# Components of an elasticity tensor that is not isotropic, without those of one that is.
+_COMPONENTS = 19
 # Parts of a support.
 _PARTS = 8
 # How many times as large as a session says errors may be.
@@ -104,7 +121,8 @@ class Explanation:
         return max(removed, key=lambda explanation: explanation.log_evidence)
 
     def _observations(self, model: FieldModel) -> list[ProbeObservations]:
-        (expansion,) = _expansions(model, self.poisson_ratio, (self.cause,), self.loose)
+        stiffness = _homogeneous(model, self.poisson_ratio)
+        (expansion,) = _expansions(model, stiffness, (self.cause,), self.loose)
         count = len(expansion.coefficients)
         return expansion.observations(smooth_prior(self.std * np.eye(count)))
 
@@ -134,11 +152,17 @@ def explanations(
     if name in memory:
         model: FieldModel = memory[name].under(session, observations)
     else:
-        model = memory[name] = make_model(session, observations, elements=_FEW, times=(1, 3))
-    ratio, candidates = minimum.poisson_ratio, []
+        memory[name] = model = make_model(session, observations, elements=_FEW, times=(1, 3))
+        if isinstance(model, PushModel):
+            # Without these pushes, which are large.
+            memory[name] = replace(model, observations=(), points=())
+    ratio, candidates = _near(minimum.poisson_ratio), []
+    stiffness: GradedStiffness | None = memory.get(factors := f"{name} factors")
+    if stiffness is None or stiffness.poisson_ratio != ratio:
+        stiffness = memory[factors] = _homogeneous(model, ratio)
     # Pokes, which tell one number each, cannot tell the others.
     causes = tuple(Cause) if isinstance(model, PushModel) else (Cause.PLACE,)
-    for cause, expansion in zip(causes, _expansions(model, ratio, causes), strict=True):
+    for cause, expansion in zip(causes, _expansions(model, stiffness, causes), strict=True):
         known = information_about(expansion, minimum, expansion.coefficients)
         if cause is Cause.PLACE:
             prior = model.modes.best_prior(*known)
@@ -182,16 +206,27 @@ def evidence_of_errors(minimum: Evaluation) -> float:
     return gain
 
 
+def _near(poisson_ratio: float) -> float:
+    """A Poisson's ratio near by, of which the factors serve many pushes: effects of first order
+    hardly depend on it, but where a body hardly changes its volume."""
+    near = SAME_RATIO * round(poisson_ratio / SAME_RATIO)
+    return near if near < _NO_VOLUME else poisson_ratio
+
+
+def _homogeneous(model: FieldModel, poisson_ratio: float) -> GradedStiffness:
+    """The body with one modulus."""
+    return model.stiffness(np.zeros(model.modes.modes.shape[1]), poisson_ratio)
+
+
 def _expansions(
     model: FieldModel,
-    poisson_ratio: float,
+    stiffness: GradedStiffness,
     causes: Sequence[Cause],
     loose: Bool[np.ndarray, " h"] | None = None,
-) -> list[FieldExpansion]:
+) -> Iterator[FieldExpansion]:
     """The responses' change by some causes about the homogeneous body, or about one of which the
-    support has let some held nodes go."""
-    stiffness = model.stiffness(np.zeros(model.modes.modes.shape[1]), poisson_ratio)
-    moved = stiffness.displacements(model.load)
+    support has let some held nodes go, one after the other."""
+    poisson_ratio, moved = stiffness.poisson_ratio, stiffness.displacements(model.load)
     change = zero = model.seen(0.0 * moved)
     if loose is not None:
         held = model.body.held.copy()
@@ -201,22 +236,32 @@ def _expansions(
         moved = stiffness.displacements(model.load)
         change = model.seen(moved - before)
     seen = stiffness.displacements(model.unit_loads) if isinstance(model, PushModel) else None
-    expansions, count = list[FieldExpansion](), model.load.shape[1]
+    count = model.load.shape[1]
     for cause in causes:
+        many = model.modes.modes.shape[1]
+        derivative: MadeInParts | np.ndarray
         if seen is None:
             derivative = model.derivative(stiffness, moved)
         elif cause is Cause.PLACE:
-            derivative = stiffness.sensitivities(seen, moved, model.modes.modes)
+            derivative = MadeInParts(partial(_by_place, model, stiffness, seen, moved))
         elif cause is Cause.DIRECTION:
-            derivative = _by_direction(stiffness, seen, moved)
+            derivative, many = _by_direction(stiffness, seen, moved), _COMPONENTS
         else:
             derivative = _by_support(model.body, stiffness, seen, moved)
-        none = np.zeros(derivative.shape[-1])
-        nowhere = np.zeros((count, len(none)))
-        expansions.append(
-            FieldExpansion(model, none, poisson_ratio, nowhere, zero, change, zero, derivative)
-        )
-    return expansions
+            many = derivative.shape[-1]
+        none, nowhere = np.zeros(many), np.zeros((count, many))
+        yield FieldExpansion(model, none, poisson_ratio, nowhere, zero, change, zero, derivative)
+
+
+def _by_place(
+    model: FieldModel,
+    stiffness: GradedStiffness,
+    seen: Float[np.ndarray, "n3 a"],
+    moved: Float[np.ndarray, "n3 k"],
+    some: slice,
+) -> Float[np.ndarray, "p a b"]:
+    """Derivative by the modes of a field, under some loads."""
+    return stiffness.sensitivities(seen, moved[:, some], model.modes.modes)
 
 
 def _by_direction(

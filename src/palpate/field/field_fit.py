@@ -13,7 +13,9 @@ from palpate.estimation import (
     FitSettings,
     MeasuredComponents,
     ProbeObservations,
+    UnknownRows,
     gauss_newton,
+    information_of_common,
     joint_minimum,
     observed_rows_of,
     with_noise,
@@ -39,7 +41,7 @@ _CHOOSING = 5
 _TOLERANCE = 0.03
 # Change of Poisson's ratio for which the finite elements are solved anew: what a field changes
 # hardly depends on it.
-_SAME_RATIO = 0.02
+SAME_RATIO = 0.02
 # Longest step of log G: derivatives are those of the body as it is.
 _LONGEST = 1.5
 # Evidence over that of a body that is the same everywhere from which it is not: exp(10).
@@ -213,7 +215,7 @@ def expanded_about_best(
         step, before = best.coefficients - coefficients, step
         share = 0.5 if step @ before < 0.0 else 1.0
         coefficients = coefficients + min(share, _LONGEST / change) * step
-        if abs(best.minimum.poisson_ratio - ratio) > _SAME_RATIO:
+        if abs(best.minimum.poisson_ratio - ratio) > SAME_RATIO:
             ratio = best.minimum.poisson_ratio
             homogeneous = model.moved(np.zeros_like(coefficients), ratio)
     raise NotConvergedError(
@@ -273,10 +275,15 @@ def information_about(
     """
     every = smooth_prior(np.eye(len(start)))
     rows = tuple(map(observed_rows_of, expansion.observations(every)))
-    at = _with_modes(minimum, rows, start)
-    normal, where = at.normal, modes_in(at)
-    rest = np.setdiff1d(np.arange(len(normal.gradient)), where)
-    common, gradient = normal.common, normal.gradient
+    homogeneous = not any(each.is_material for each in minimum.problem.shared)
+    if homogeneous and not start.any():
+        # Displacements and the model's error are those of the body as it is.
+        at = _with_modes(minimum, rows, start, minimum.problem.unknown)
+        at = replace(at, known_residual=minimum.residual)
+    else:
+        at = _with_modes(minimum, rows, start)
+    (common, gradient), where = information_of_common(at), modes_in(at)
+    rest = np.setdiff1d(np.arange(len(gradient)), where)
     back = np.linalg.solve(common[np.ix_(rest, rest)], common[np.ix_(rest, where)]).T
     information = common[np.ix_(where, where)] - back @ common[np.ix_(rest, where)]
     information -= np.eye(len(start))
@@ -285,7 +292,10 @@ def information_about(
 
 
 def _with_modes(
-    minimum: Evaluation, rows: tuple[MeasuredComponents, ...], coefficients: Float[np.ndarray, " b"]
+    minimum: Evaluation,
+    rows: tuple[MeasuredComponents, ...],
+    coefficients: Float[np.ndarray, " b"],
+    unknown: tuple[UnknownRows, ...] | None = None,
 ) -> Evaluation:
     """The objective at the same point, with the coefficients of other modes."""
     problem, theta, first = minimum.problem, minimum.theta, minimum.problem.layout.errors.start
@@ -297,7 +307,7 @@ def _with_modes(
     unshared = theta[problem.layout.common :]
     errors = [common[error.name] for error in others]
     theta = np.concatenate([theta[:first], errors, coefficients, unshared])
-    return Evaluation(problem.of(rows, (*others, *modes), theta), theta)
+    return Evaluation(problem.of(rows, (*others, *modes), theta, unknown), theta)
 
 
 def modes_in(minimum: Evaluation) -> Int[np.ndarray, " j"]:

@@ -53,6 +53,8 @@ from palpate.solids import (
     with_moduli,
 )
 
+# Probings whose derivatives are made at once, where they are not kept.
+_PART = 8
 # Change of Poisson's ratio for the derivative of d.
 _STEP = 0.005
 # Begins the names of a field's coefficients; what the budget calls them together.
@@ -226,6 +228,26 @@ class FieldModel(ABC):
         )  # fmt: skip
 
 
+class MadeInParts:
+    """Derivatives of probings, those of some made at a time when one of them is asked for: of all
+    they would be most of what a fit of many pushes needs.
+
+    Parameters
+    ----------
+    make : callable             slice of probings -> their derivatives, as `FieldExpansion` has them
+    """
+
+    def __init__(self, make: Callable[[slice], Float[np.ndarray, "p a b"]]) -> None:
+        self._make, self._first = make, -1
+
+    def __getitem__(self, index: int) -> Float[np.ndarray, "a b"]:
+        """That of one probing."""
+        first = index - index % _PART
+        if first != self._first:
+            self._part, self._first = self._make(slice(first, first + _PART)), first
+        return self._part[index - first]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldExpansion:
     """Change of the responses by a field, to first order about some coefficients.
@@ -240,7 +262,7 @@ class FieldExpansion:
     change : (..., k) float                     d under the load of each probing (`FieldModel.seen`)
     slope : (..., k) float                      its derivative with respect to Poisson's ratio; zero
                                                 until it is asked for
-    derivative : (k, ..., b) float              S (`FieldModel.derivative`)
+    derivative : (k, ..., b) float, or parts of it      S (`FieldModel.derivative`)
     """
 
     model: FieldModel
@@ -250,7 +272,7 @@ class FieldExpansion:
     homogeneous: Float[np.ndarray, "*n"]
     change: Float[np.ndarray, "*n"]
     slope: Float[np.ndarray, "*n"]
-    derivative: Float[np.ndarray, "*d b"]
+    derivative: Float[np.ndarray, "*d b"] | MadeInParts
 
     def with_slope(self) -> "FieldExpansion":
         """Expansion with the derivative by Poisson's ratio, which takes two factorisations."""
@@ -383,7 +405,6 @@ def _changed(
     prior: CoefficientPrior,
 ) -> ProbeObservations:
     """Observations of one probing with what a field changes."""
-    derivative = points.from_corners @ expansion.derivative[index]
     local = expansion.under_loads[index]
     scale = float(np.exp(-local @ expansion.coefficients))
 
@@ -393,11 +414,18 @@ def _changed(
         return np.asarray(moved - rows @ expansion.homogeneous[:, index])
 
     missing = missed(probe.response, points.from_nodes)
-    derivative -= scale * np.outer(missing, local)
+
+    def along_coefficients(by: Float[np.ndarray, "b j"]) -> Float[np.ndarray, "r j"]:
+        """Derivative of the rows by what the coefficients change by, which is large."""
+        derivative = points.from_corners @ expansion.derivative[index]
+        return (derivative - scale * np.outer(missing, local)) @ by
+
     along = probe.force / (probe.force @ probe.force)
     moved = np.stack([expansion.change[:, index], expansion.slope[:, index]], axis=1)
     expected = np.stack([prior.mean - expansion.coefficients, prior.by_ratio], axis=1)
-    here = points.from_nodes @ moved + derivative @ expected
+    here = points.from_nodes @ moved
+    if expected.any():
+        here += along_coefficients(expected)
     here[:, 0] += (scale - 1.0) * missing
     response = _Changed(probe.response, along, expansion.poisson_ratio, *here.T)
     vertices = probe.vertices
@@ -405,19 +433,19 @@ def _changed(
         there = points.vertices @ moved
         there[:, 0] += (scale - 1.0) * missed(vertices, points.vertices)
         vertices = _Changed(vertices, along, expansion.poisson_ratio, *there.T)
-    mixed, rising = derivative @ prior.mixing, derivative @ prior.by_log_modulus
-
-    def settled(_: float) -> Float[np.ndarray, "n_rows c"]:
-        columns = np.zeros((len(rising), 4 + len(probe.motion)))
-        columns[:, :3] = rising[:, None] * along
-        return columns
+    settlement = None
+    if prior.by_log_modulus.any():
+        rising = along[:, None] * along_coefficients(prior.by_log_modulus[:, None])[:, :1].T
+        columns = np.zeros((rising.shape[1], 4 + len(probe.motion)))
+        columns[:, :3] = rising.T
+        settlement = Settlement(prior.shear_modulus, lambda _: columns)
 
     def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:
-        moved = np.zeros((len(at.rows), 1, at.value.shape[2], mixed.shape[1]))
-        moved[:, 0, :3] = along[:, None] * mixed[at.rows, None]
+        mixed = along_coefficients(prior.mixing)[at.rows]
+        moved = np.zeros((*mixed.shape[:1], 1, at.value.shape[2], mixed.shape[1]))
+        moved[:, 0, :3] = along[:, None] * mixed[:, None]
         return moved
 
-    settlement = Settlement(prior.shear_modulus, settled) if prior.by_log_modulus.any() else None
     first = expansion.model.load.shape[1] + 2 * index
     changes = points.from_nodes @ expansion.change[:, first : first + 2]
     nuisances = [_shifted(nuisance, changes) for nuisance in probe.nuisances]

@@ -11,7 +11,11 @@ Read first : `fit_session.py`, then `result_files.py`.
 
 from palpate.pipeline.creep import require_series as require_series
 from palpate.pipeline.fit_session import fit_session as fit_session, prepare_body as prepare_body
-from palpate.pipeline.heterogeneous import Material as Material
+from palpate.pipeline.heterogeneous import (
+    FittedBody as FittedBody,
+    Material as Material,
+    fitted_body as fitted_body,
+)
 from palpate.pipeline.model.contact_loads import (
     outward_pushes as outward_pushes,
     surface_load as surface_load,
@@ -24,6 +28,7 @@ from palpate.pipeline.model.object_model import make_object_model as make_object
 from palpate.pipeline.model.supports import (
     moving_supports as moving_supports,
     require_given_motions as require_given_motions,
+    rigid_modes as rigid_modes,
     sliding_motion as sliding_motion,
 )
 from palpate.pipeline.motion.displacement import (

@@ -31,6 +31,7 @@ from palpate.pipeline.model.grading import graded_session, refined_session
 from palpate.pipeline.model.large_strain import fit_at_finite_strain
 from palpate.pipeline.model.object_model import ObjectModel, make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, length_error, with_stretch
+from palpate.pipeline.model.supports import MovingSupport
 from palpate.pipeline.motion.figures import rejection_note, rejections
 from palpate.pipeline.observations import (
     UNGRADED_RESIDUAL,
@@ -73,6 +74,8 @@ _LARGE_ROTATION = 5e-3
 # Depth over the radius of a contact, of which half is about the strain under it, from which the
 # error of a model of small strain is no longer small; what the tool deforms reaches so many radii.
 _FAR, _REACH = 0.1, 3.0
+# The supports that move, and which of their translations a probing pulls.
+_Moving = tuple[Sequence[MovingSupport], tuple[int, ...]]
 # A contact that ends up this many radii beside the point that was touched first is mentioned.
 _MENTIONED = 0.05
 
@@ -155,13 +158,7 @@ def _fit_displacements(
     compared = time.perf_counter()
     before("integrals over the surface", _GRADED)
     graded = graded_session(refined)
-    integrals = part_of(before, _GRADED, _ASSEMBLED)
-    model = make_object_model(graded, cache=cache, progress=integrals)
-    assembled = time.perf_counter()
-    before("factorisation", _ASSEMBLED)
-    observations = converged_observations(
-        graded, model, settings=settings, coarser=ungraded, with_surface=True
-    )
+    moving, observations, assembled = _on_graded_mesh(graded, ungraded, settings, cache, before)
     observations = with_stretch(observations, strains)
     factorised = time.perf_counter()
     tested = reciprocity(session) if len(session.probings) > 1 and not finite_strain else None
@@ -173,7 +170,7 @@ def _fit_displacements(
     stages = {"given_mesh": compared - start, "assembly": assembled - compared}
     stages |= {"factorisation": factorised - assembled} | result.estimate.seconds
     progress("fit done", 1.0)
-    result, probes = _with_load(graded, result), _probe_estimates(model, result)
+    result, probes = _with_load(graded, result), _probe_estimates(moving, result)
     notes = _session_notes(
         session, refined, graded, result, probes, tested, finite_strain=finite_strain
     )
@@ -286,25 +283,45 @@ def _on_ungraded_mesh(
     )  # fmt: skip
 
 
-def _probe_estimates(model: ObjectModel, result: FitResult) -> tuple[ProbeEstimate, ...]:
+def _on_graded_mesh(
+    session: Session,
+    coarser: Sequence[ProbeObservations],
+    settings: FitSettings,
+    cache: Cache | None,
+    progress: Progress,
+) -> tuple[list[_Moving], list[ProbeObservations], float]:
+    """What moves in each probing, the observations with the model of the graded mesh, and when its
+    integrals were done. The model itself is let go: the observations have taken up what it knows of
+    loads, which of many pushes is large."""
+    integrals = part_of(progress, _GRADED, _ASSEMBLED)
+    model = make_object_model(session, cache=cache, progress=integrals)
+    assembled = time.perf_counter()
+    progress("factorisation", _ASSEMBLED)
+    observations = converged_observations(
+        session, model, settings=settings, coarser=coarser, with_surface=True
+    )
+    pulled = map(model.pulled_translations, range(len(session.probings)))
+    return [(model.supports, each) for each in pulled], observations, assembled
+
+
+def _probe_estimates(moving: Sequence[_Moving], result: FitResult) -> tuple[ProbeEstimate, ...]:
     """The result's probe estimates, with the motions of their supports."""
     return tuple(
-        replace(probe, supports=_support_estimates(model, k, result.probes[k]))
-        for k, probe in enumerate(result.estimate.probes)
+        replace(probe, supports=_support_estimates(*each, fitted))
+        for probe, each, fitted in zip(result.estimate.probes, moving, result.probes, strict=True)
     )
 
 
 def _support_estimates(
-    model: ObjectModel, index: int, fitted: ProbeFit
+    moving: Sequence[MovingSupport], pulled: tuple[int, ...], fitted: ProbeFit
 ) -> tuple[SupportEstimate, ...]:
     """Motions of the supports in a probing; NaN for translations of a support that is pulled."""
-    pulled = model.pulled_translations(index)
-    rest = [j for j in range(6 * len(model.supports)) if j not in pulled]
-    value, std = np.full((2, 6 * len(model.supports)), np.nan)
+    rest = [j for j in range(6 * len(moving)) if j not in pulled]
+    value, std = np.full((2, 6 * len(moving)), np.nan)
     value[rest], std[rest] = fitted.motion[: len(rest)], fitted.motion_std[: len(rest)]
     estimates = []
     for support, moved, error in zip(
-        model.supports, value.reshape(-1, 2, 3), std.reshape(-1, 2, 3), strict=True
+        moving, value.reshape(-1, 2, 3), std.reshape(-1, 2, 3), strict=True
     ):
         parts = (tuple(part.tolist()) for part in (moved[0], error[0], moved[1], error[1]))
         estimates.append(SupportEstimate(support.number, *parts))

@@ -39,6 +39,7 @@ from palpate.pipeline.model.shared_errors import calibration_strains, with_stret
 from palpate.pipeline.observations import converged_observations
 from palpate.progress import Progress, part_of
 from palpate.records import (
+    Estimate,
     FieldEstimate,
     ModulusMap,
     ProbeEstimate,
@@ -125,6 +126,40 @@ class Predictor:
         if self.field is not None:
             observations = self.field.with_field(graded, observations)
         return predictions_of(self.minimum, observations)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedBody:
+    """What a plan needs of a fit, which of many pushes is large.
+
+    Attributes
+    ----------
+    estimate : Estimate
+    field : UnevenBody or None      None: the body is the same everywhere
+    errors : name -> float          values of the field's coefficients
+    """
+
+    estimate: Estimate
+    field: UnevenBody | None
+    errors: dict[str, float]
+
+
+def fitted_body(fitted: FitResult) -> FittedBody:
+    """The body of a fit.
+
+    Parameters
+    ----------
+    fitted : FitResult
+    """
+    problem, predict = fitted.minimum.problem, fitted.predict
+    values = fitted.minimum.theta[problem.layout.errors].tolist()
+    errors = {
+        each.name: value
+        for each, value in zip(problem.shared, values, strict=True)
+        if each.is_material
+    }
+    field = predict.field if isinstance(predict, Predictor) else None
+    return FittedBody(fitted.estimate, field, errors)
 
 
 def fit_material(

@@ -4,12 +4,12 @@ A model on compliant supports is taken at the shear modulus that fits best. Mode
 of one body show how large the discretisation error is.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
-from jaxtyping import Float
-from scipy.sparse import csr_array
+from jaxtyping import Float, Int
 
 from palpate.bem import DENSE_RESIDUAL, LARGEST_DENSE, SolutionModel, make_solver
 from palpate.checkpoints import Cache
@@ -30,6 +30,7 @@ from palpate.pipeline.model.object_model import (
     ObjectModel,
     ObservationMatrix,
     make_object_model,
+    probe_columns,
     probe_rows,
 )
 from palpate.pipeline.model.responses import (
@@ -39,7 +40,7 @@ from palpate.pipeline.model.responses import (
     settlement,
     spring_responses,
 )
-from palpate.pipeline.model.shared_errors import pose_changes, shared_errors
+from palpate.pipeline.model.shared_errors import PoseChanges, pose_changes, shared_errors
 from palpate.pipeline.model.supports import free_std, given_motion
 from palpate.progress import Progress, part_of, silent
 from palpate.records import EXACT, GIVEN, DisplacementField, Probing, Session
@@ -102,8 +103,9 @@ def reduced_model_of(
     *,
     settings: FitSettings = FitSettings(),
     residual: float = DENSE_RESIDUAL,
+    columns: Int[np.ndarray, " m"] | None = None,
 ) -> SolutionModel:
-    """Solutions for all loads of a model on supports that do not yield, at all Poisson's ratios.
+    """Solutions for loads of a model on supports that do not yield, at all Poisson's ratios.
 
     They do not depend on what was measured.
 
@@ -112,6 +114,7 @@ def reduced_model_of(
     model : ObjectModel
     settings : FitSettings                range of Poisson's ratio
     residual : float                      largest one of the loads (`make_reduced_model`)
+    columns : (m,) int or None            of the loads' right-hand sides; None: all
 
     Returns
     -------
@@ -123,7 +126,10 @@ def reduced_model_of(
     """
     tolerance = np.full(model.right.terms.shape[2], residual)
     tolerance[model.loads.perturbation_columns] = _PERTURBATION_TOLERANCE
-    return model.solver.reduced_model(model.right, settings.poisson_range, tolerance)
+    right = model.right
+    if columns is not None:
+        right, tolerance = right.of(columns), tolerance[columns]
+    return model.solver.reduced_model(right, settings.poisson_range, tolerance)
 
 
 def converged_observations(
@@ -388,31 +394,51 @@ def _session_observations_at(
     residual: float = DENSE_RESIDUAL,
 ) -> Callable[[float], list[ProbeObservations]]:
     """As `session_observations`, for any shear modulus [Pa], from one factorisation."""
-    rows = _rows(session, model, with_surface=with_surface)
+    every = range(len(session.probings))
     if model.springs is not None:
-        on_springs = spring_responses(model, model.springs, list(rows), settings)
+        rows = _rows(session, model, every, with_surface=with_surface)
+        on_springs = spring_responses(model, model.springs, list(chain(*rows)), settings)
         return lambda modulus: _all_observations(session, model, on_springs(modulus), modulus)
     if settings.method == FitMethod.NELDER_MEAD:
+        rows = _rows(session, model, every, with_surface=with_surface)
         responses = full_responses(
-            lambda ratio: model.solver.at(ratio)(model.right.at(ratio)), list(rows)
+            lambda ratio: model.solver.at(ratio)(model.right.at(ratio)), list(chain(*rows))
         )
     else:
-        reduced = reduced_model_of(model, settings=settings, residual=residual)
-        responses = reduced_responses(reduced, rows, settings.poisson_range)
+        parts: tuple[list[ProbeResponse], ...] = [], []
+        for group in _groups(model):
+            needed = [probe_columns(model, k)[0] for k in group]
+            columns = None if len(group) == len(every) else np.unique(np.concatenate(needed))
+            reduced = reduced_model_of(model, settings=settings, residual=residual, columns=columns)
+            rows = _rows(session, model, group, with_surface=with_surface)
+            for part, matrices in zip(parts, rows, strict=True):
+                part += reduced_responses(
+                    reduced, matrices, settings.poisson_range, columns=columns
+                )
+        responses = [*parts[0], *parts[1]]
     return lambda modulus: _all_observations(session, model, responses, modulus)
 
 
+def _groups(model: ObjectModel) -> list[range]:
+    """Probings of which a reduced model is made at once: what it takes of all of them would be most
+    of what a fit of many needs."""
+    count, most = len(model.session.probings), model.solver.together
+    if most is None:
+        return [range(count)]
+    size = max(1, most // max(len(probe_columns(model, k)[0]) for k in range(count)))
+    return [range(first, min(first + size, count)) for first in range(0, count, size)]
+
+
 def _rows(
-    session: Session, model: ObjectModel, *, with_surface: bool
-) -> Iterator[ObservationMatrix]:
-    """Observation matrices of every probing's points; then, where needed, of all vertices."""
-    for k, probing in enumerate(session.probings):
-        field = _measured(probing)
-        yield probe_rows(model, k, field.surface, average=field.average)
-    if with_surface or session.errors.pose_translation > 0.0 or session.errors.pose_rotation > 0.0:
-        every = _vertices(session.mesh)
-        for k in range(len(session.probings)):
-            yield probe_rows(model, k, every, perturbed=False)
+    session: Session, model: ObjectModel, chosen: Iterable[int], *, with_surface: bool
+) -> tuple[Iterator[ObservationMatrix], Iterator[ObservationMatrix]]:
+    """Observation matrices of some probings' points; and, where needed, of all vertices."""
+    probings, errors = session.probings, session.errors
+    fields = ((k, _measured(probings[k])) for k in chosen)
+    points = (probe_rows(model, k, x.surface, average=x.average) for k, x in fields)
+    needed = with_surface or errors.pose_translation > 0.0 or errors.pose_rotation > 0.0
+    every = _vertices(session.mesh)
+    return points, (probe_rows(model, k, every, perturbed=False) for k in chosen if needed)
 
 
 def _all_observations(
@@ -438,13 +464,12 @@ def _all_observations(
     return observations
 
 
-def _pose_changes(session: Session, model: ObjectModel) -> list[list[csr_array]]:
+def _pose_changes(session: Session, model: ObjectModel) -> list[PoseChanges | None]:
     """`pose_changes` of every probing's points, computed once for points common to several."""
     surfaces = [_measured(probing).surface for probing in session.probings]
     every, numbers = distinct_points(surfaces)
     changes = pose_changes(model, every)
-    rows = [(3 * number[:, None] + np.arange(3)).ravel() for number in numbers]
-    return [[change[rows_of_probing] for change in changes] for rows_of_probing in rows]
+    return [None if changes is None else changes.at(number) for number in numbers]
 
 
 def _vertices(mesh: TriangleMesh) -> SurfacePoints:

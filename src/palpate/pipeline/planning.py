@@ -15,7 +15,7 @@ from jaxtyping import Bool, UInt
 
 from palpate.checkpoints import Cache
 from palpate.errors import InputError
-from palpate.estimation import FitResult, Information, ProbeObservations, fisher_information
+from palpate.estimation import Information, ProbeObservations, fisher_information
 from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
@@ -24,7 +24,7 @@ from palpate.geometry import (
 from palpate.lab import Material, Pictures, Variant, planned_pictures
 from palpate.pipeline.contacts import with_contact_radii
 from palpate.pipeline.fit_session import fit_session
-from palpate.pipeline.heterogeneous import Material as Substance, Predictor
+from palpate.pipeline.heterogeneous import FittedBody, Material as Substance, fitted_body
 from palpate.pipeline.model.grading import refined_session
 from palpate.pipeline.model.object_model import make_object_model
 from palpate.pipeline.model.shared_errors import calibration_strains, with_stretch
@@ -214,7 +214,7 @@ def plan_next(
     session: Session,
     *,
     count: int = 3,
-    fitted: FitResult | None = None,
+    fitted: FittedBody | None = None,
     known: NextProbings | None = None,
     cache: Cache | None = None,
     progress: Progress = silent,
@@ -230,7 +230,7 @@ def plan_next(
     ----------
     session : Session               with measured probings; the first under a round patch or a tool
     count : int                     number of places to choose, 1 to 40
-    fitted : FitResult or None      the fit of this session; None: it is fitted first
+    fitted : FittedBody or None     by the fit of this session; None: it is fitted first
     known : NextProbings or None    of the same object with fewer probings: what is left of its
                                     places is compared, without computing again how it moves there
     cache : Cache or None           folder in which what is computed of the body is kept for reuse
@@ -262,7 +262,8 @@ def plan_next(
         )
     if fitted is None:
         stage_progress = part_of(progress, 0.0, 0.4)
-        fitted = fit_session(session, cache=cache, material=Substance.AUTO, progress=stage_progress)
+        fit = fit_session(session, cache=cache, material=Substance.AUTO, progress=stage_progress)
+        fitted = fitted_body(fit)
     session = _with_radii(session, fitted.estimate)
     radius = session.probings[0].contact.radius or 0.0
     measured = _measured_session(session, fitted.estimate)
@@ -273,7 +274,7 @@ def plan_next(
     inward = np.array([probing.force / np.linalg.norm(probing.force) for probing, _ in further])
     every = replace(measured, probings=(*measured.probings, *(probing for probing, _ in further)))
     observed = [*observed, *(observations for _, observations in further)]
-    information, is_uniform = _information_of(every, observed, fitted)
+    information, is_uniform = _information_of(every, observed, fitted), fitted.field is None
     made = range(len(session.probings))
 
     def expected(places: Sequence[int]) -> dict[str, float]:
@@ -348,23 +349,17 @@ def _observed(session: Session, cache: Cache | None) -> list[ProbeObservations]:
 
 
 def _information_of(
-    session: Session, observed: Sequence[ProbeObservations], fitted: FitResult
-) -> tuple[Information, bool]:
-    """Information of a session's probings, planned ones included, and whether the fitted body is
-    the same everywhere."""
-    minimum, predict, constants = fitted.minimum, fitted.predict, fitted.estimate
-    field = predict.field if isinstance(predict, Predictor) else None
-    if field is not None:
-        observed = field.with_field(session, observed)
-    values = minimum.theta[minimum.problem.layout.errors]
-    shared = zip(minimum.problem.shared, values.tolist(), strict=True)
-    information = fisher_information(
+    session: Session, observed: Sequence[ProbeObservations], fitted: FittedBody
+) -> Information:
+    """Information of a session's probings, planned ones included."""
+    if fitted.field is not None:
+        observed = fitted.field.with_field(session, observed)
+    return fisher_information(
         observed,
-        poisson_ratio=constants.poisson_ratio.value,
-        shear_modulus=constants.shear_modulus.value,
-        errors={error.name: value for error, value in shared if error.is_material},
+        poisson_ratio=fitted.estimate.poisson_ratio.value,
+        shear_modulus=fitted.estimate.shear_modulus.value,
+        errors=fitted.errors,
     )
-    return information, field is None
 
 
 def expected_precision(session: Session) -> dict[str, float]:

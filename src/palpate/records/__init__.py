@@ -205,6 +205,7 @@ from palpate.records.text.text_file import (
 from palpate.records.text.toml_table import (
     TomlTable as TomlTable,
     json_text as json_text,
+    nearest_file as nearest_file,
     read_toml as read_toml,
 )
 from palpate.records.tools import (

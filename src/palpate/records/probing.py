@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array
+from scipy.sparse import bsr_array, csr_array
 from scipy.spatial.transform import Rotation
 
 from palpate.arrays import fix_fields
@@ -90,7 +90,7 @@ class SurfaceAverage:
     ----------
     points : (s, 3) float [m]       sampling points on the surface at rest
     weights : (3 n, 3 s) sparse [-] 3 x 3 blocks that sum to the identity along every block row, or
-                                    to zero; stored in single precision
+                                    to zero; stored as blocks, in single precision
 
     Raises
     ------
@@ -98,26 +98,23 @@ class SurfaceAverage:
     """
 
     points: Points
-    weights: csr_array
+    weights: bsr_array
 
     def __post_init__(self) -> None:
         fix_fields(self, points=(None, 3))
         try:
-            weights = csr_array(self.weights, dtype=np.float32)
             # A product with an index out of range, as of a damaged file, would end the process.
-            weights.check_format(full_check=True)
+            self.weights.check_format(full_check=True)
+            # As blocks: else half of what a session keeps of pictures would be indices.
+            weights = bsr_array(self.weights, dtype=np.float32, blocksize=(3, 3))
         except ValueError as error:
-            raise InputError(f"weights are no matrix: {error}") from error
-        if max(weights.shape[1], weights.nnz) < np.iinfo(np.int32).max:
-            # Half of what a session keeps of pictures would be indices.
-            weights.indices = weights.indices.astype(np.int32)
-            weights.indptr = weights.indptr.astype(np.int32)
+            raise InputError(f"weights are no matrix of 3 x 3 blocks: {error}") from error
         object.__setattr__(self, "weights", weights)
         rows, columns = self.weights.shape
-        if columns != 3 * len(self.points) or rows % 3:
+        if columns != 3 * len(self.points):
             raise InputError(
                 f"weights are {rows} x {columns}; must have three columns for each of the"
-                f" {len(self.points)} points, and three rows for each displacement"
+                f" {len(self.points)} points"
             )
         total = self._total()
         off = np.abs(total - np.eye(3) * self.has_weights[:, None, None])
@@ -129,7 +126,7 @@ class SurfaceAverage:
     @property
     def has_weights(self) -> Flags:
         """True for the displacements that have weights, (n,) bool."""
-        return np.diff(self.weights.indptr)[::3] > 0
+        return np.diff(self.weights.indptr) > 0
 
     def _total(self) -> Float[np.ndarray, "n 3 3"]:
         return (self.weights @ np.tile(np.eye(3), (len(self.points), 1))).reshape(-1, 3, 3)
@@ -137,16 +134,17 @@ class SurfaceAverage:
     def averaging_matrix(self) -> csr_array:
         """Matrix from displacements of the n measured points, then of the s sampling points, to the
         averaged displacements; (3 n, 3 (n + s)) sparse."""
-        alone, counts = np.repeat(~self.has_weights, 3), np.diff(self.weights.indptr)
+        alone, counts = ~self.has_weights, np.diff(self.weights.indptr)
         # A row holds its weights, or a one at the point itself.
         is_one = np.repeat(alone, np.where(alone, 1, counts))
-        data, indices = np.ones(is_one.size), np.empty(is_one.size, self.weights.indices.dtype)
+        data = np.tile(np.eye(3), (is_one.size, 1, 1))
+        indices = np.empty(is_one.size, self.weights.indices.dtype)
         data[~is_one] = self.weights.data
         indices[~is_one] = len(alone) + self.weights.indices
         indices[is_one] = np.flatnonzero(alone)
         ends = np.append(0, np.cumsum(np.where(alone, 1, counts)))
-        shape = len(alone), len(alone) + self.weights.shape[1]
-        return csr_array((data, indices, ends), shape=shape)
+        shape = 3 * len(alone), 3 * len(alone) + self.weights.shape[1]
+        return bsr_array((data, indices, ends), shape=shape).tocsr()
 
     def subset(self, rows: Indices) -> "SurfaceAverage":
         """Restrict to a subset of the measured displacements.
@@ -155,8 +153,12 @@ class SurfaceAverage:
         ----------
         rows : (k,) int         displacements that are kept
         """
-        chosen = (3 * rows[:, None] + np.arange(3)).ravel()
-        return SurfaceAverage(self.points, csr_array(self.weights[chosen]))
+        starts, counts = self.weights.indptr[rows], np.diff(self.weights.indptr)[rows]
+        ends = np.append(0, np.cumsum(counts))
+        chosen = np.arange(ends[-1]) + np.repeat(starts - ends[:-1], counts)
+        content = self.weights.data[chosen], self.weights.indices[chosen], ends
+        shape = 3 * len(rows), self.weights.shape[1]
+        return SurfaceAverage(self.points, bsr_array(content, shape=shape))
 
     def embedded(self, rows: Indices, count: int) -> "SurfaceAverage":
         """Embed into a longer list of displacements, of which the others have no weights.
@@ -166,12 +168,12 @@ class SurfaceAverage:
         rows : (n,) int         new indices of these displacements, increasing
         count : int             new number of displacements
         """
-        entries = np.zeros(3 * count, dtype=np.int64)
-        entries[(3 * rows[:, None] + np.arange(3)).ravel()] = np.diff(self.weights.indptr)
-        starts = np.concatenate([[0], np.cumsum(entries)])
+        entries = np.zeros(count, dtype=np.int64)
+        entries[rows] = np.diff(self.weights.indptr)
+        starts = np.append(0, np.cumsum(entries))
         content = self.weights.data, self.weights.indices, starts
         shape = 3 * count, self.weights.shape[1]
-        return SurfaceAverage(self.points, csr_array(content, shape=shape))
+        return SurfaceAverage(self.points, bsr_array(content, shape=shape))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,6 +21,8 @@ from palpate.solids.tetrahedra import Solid
 
 # Observed components whose strains are held at a time, 24 numbers for each and each element.
 _BLOCK = 64
+# Loads whose energies are held at once.
+_LOADS = 8
 # From strains with twice the shears to Mandel's six-vectors, whose products are those of tensors.
 _MANDEL = np.array([1.0, 1.0, 1.0, *[np.sqrt(0.5)] * 3])
 
@@ -115,19 +117,20 @@ class GradedStiffness:
 
         Returns
         -------
-        (p, a, b) float [m Pa]
+        (p, a, b) float32 [m Pa]        of many pushes it is most of what is kept
         """
-        stress, unknowns, count = self._stress(moved), self.body.unknowns, moved.shape[1]
+        stress, unknowns = np.swapaxes(self._stress(moved), 1, 2), self.body.unknowns
         operator = self.body.strain.reshape(len(unknowns), -1, 30)
-        result = np.zeros((count, observed.shape[1], basis.shape[1]))
+        shape = moved.shape[1], observed.shape[1], basis.shape[1]
+        result = np.empty(shape, dtype=np.float32)
         for first in range(0, observed.shape[1], _BLOCK):
             part = observed[:, first : first + _BLOCK]
-            seen = (operator @ part[unknowns]).reshape(len(stress), 6, -1)
-            energy = np.swapaxes(stress, 1, 2) @ seen
-            sums = basis.T @ energy.reshape(len(energy), -1)
-            result[:, first : first + _BLOCK] -= np.moveaxis(
-                sums.reshape(-1, *energy.shape[1:]), 0, 2
-            )
+            seen = (operator @ part[unknowns]).reshape(-1, 6, part.shape[1])
+            for begin in range(0, moved.shape[1], _LOADS):
+                energy = stress[:, begin : begin + _LOADS] @ seen
+                sums = basis.T @ energy.reshape(len(energy), -1)
+                own = result[begin : begin + _LOADS, first : first + _BLOCK]
+                own[...] = -np.moveaxis(sums.reshape(-1, *energy.shape[1:]), 0, 2)
         return result
 
     def changes(

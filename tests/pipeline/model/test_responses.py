@@ -100,8 +100,8 @@ def test_series_is_what_the_reduced_model_says(setting, nu):
     solution = sum(w * x for w, x in zip(weights, model.basis(rows.columns), strict=True))
     expected = surface @ solution
     block = reduced_responses(model, [bare], RANGE)[0].blocks(nu)[0][: len(expected)]
-    # Terms below 1e-10 are left out.
-    np.testing.assert_allclose(block, expected, atol=1e-9 * np.abs(expected).max())
+    # Terms below 3e-8 are left out, and the others are kept in single precision.
+    np.testing.assert_allclose(block, expected, atol=1e-7 * np.abs(expected).max())
 
 
 def _models_with_directions():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from estimation.half_space import half_space_probes
 from estimation.moved_contact import MovedContact, contact_error_of
-from scipy.sparse import csr_array, kron
+from scipy.sparse import csr_array
 
 from palpate.estimation import (
     Nuisance,
@@ -15,6 +15,7 @@ from palpate.estimation import (
     ResponseTerms,
 )
 from palpate.pipeline.model.shared_errors import (
+    PoseChanges,
     force_direction,
     force_gain,
     length_scale,
@@ -83,11 +84,11 @@ def test_a_pose_takes_the_field_of_the_vertices() -> None:
     """A change that doubles every vertex's displacement doubles what is seen, not the tip's."""
     probe = replace(_probes(tip=True)[0])
     count = len(probe.position)
-    whole = kron(csr_array(np.eye(count)), np.eye(3))
+    whole = csr_array(np.eye(count))
+    change = PoseChanges(whole, (whole,), np.zeros((1, 3, 3)))
     pose = pose_error(
-        1e-4, 0.0, (csr_array(whole),), probe.response.value,
-        lambda _: np.zeros((1, 3 * count, 4)),
-    )  # fmt: skip
+        1e-4, 0.0, change, probe.response.value, lambda _: np.zeros((1, 3 * count, 4))
+    )
     columns = _columns(pose, probe)
     moved = _predicted(probe, probe.force)
     np.testing.assert_allclose(columns[:-3, 0], moved[:-3], rtol=1e-12)

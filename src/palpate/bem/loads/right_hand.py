@@ -48,6 +48,10 @@ class RightHand:
         constant, slope, curvature = self.terms
         return constant + poisson_ratio * (slope + poisson_ratio * curvature)
 
+    def of(self, columns: Int[np.ndarray, " m"]) -> "RightHand":
+        """Some of the columns."""
+        return RightHand(self.terms[:, :, columns])
+
     def on_springs(
         self,
         compliance: Float[np.ndarray, " e"],

@@ -310,8 +310,7 @@ def probe_rows(
     -------
     ObservationMatrix
     """
-    perturbations = _own_perturbations(model, index)[: None if perturbed else 0]
-    columns, known_loads = _columns(model, index, perturbations)
+    columns, known_loads, changes = probe_columns(model, index, perturbed=perturbed)
     seen = _seen(model, index, surface_points, average)
     nodes = model.system.surface.displacement
     points = interpolation_matrix(nodes, seen.triangle, seen.barycentric)
@@ -336,7 +335,7 @@ def probe_rows(
         known_loads,
         model.body is not None,
         _motions(model, index, observed) if model.supports else None,
-        changes=len(perturbations),
+        changes=changes,
     )
 
 
@@ -400,12 +399,25 @@ def _particular(system: BoundarySystem, body: BodyForce) -> Float[np.ndarray, "v
     return moved
 
 
-def _columns(
-    model: ObjectModel, index: int, perturbations: Int[np.ndarray, " p"]
-) -> tuple[Int[np.ndarray, " c"], Float[np.ndarray, " l"]]:
-    """Right-hand sides of a probing in the order of `ObservationMatrix`, and the multipliers of its
-    known loads."""
+def probe_columns(
+    model: ObjectModel, index: int, *, perturbed: bool = True
+) -> tuple[Int[np.ndarray, " c"], Float[np.ndarray, " l"], int]:
+    """Right-hand sides of a probing.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    index : int                       of the probing in its session
+    perturbed : bool                  False: without those of perturbed contacts
+
+    Returns
+    -------
+    columns : (c,) int                in the order of `ObservationMatrix`
+    known_loads : (l,) float          multipliers of its known loads
+    changes : int                     how many of the columns are of perturbed contacts
+    """
     probing, table = model.session.probings[index], model.loads
+    perturbations = _own_perturbations(model, index)[: None if perturbed else 0]
     columns, known_loads = [], []
     if probing.contact.profile != RIGID:
         columns.append(table.force_columns(probing.contact))
@@ -421,7 +433,8 @@ def _columns(
         table.motion_columns[_own_motions(model, index)],
         table.perturbation_columns[perturbations],
     ]
-    return np.concatenate(columns), np.concatenate([np.zeros(0), *known_loads])
+    known = np.concatenate([np.zeros(0), *known_loads])
+    return np.concatenate(columns), known, len(perturbations)
 
 
 def _own_motions(model: ObjectModel, index: int) -> Int[np.ndarray, " q"]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 from numpy.polynomial.polyutils import mapdomain
 from scipy.sparse import csr_array
@@ -42,13 +42,13 @@ from palpate.pipeline.model.supports import (
 )
 
 _SLOPE_STEP = 1e-4
-# Degrees of the series tried, and the coefficient over the largest below which they end: well below
-# the error of a reduced model.
 # Solutions that are kept: derivatives in Poisson's ratio ask for three, again and again where it is
 # held.
 _KEPT = 8
+# Degrees of the series tried, and the coefficient over the largest below which they end: that of
+# single precision, in which they are kept, as they are a good part of what a fit keeps.
 _DEGREES = (16, 32, 64, 128)
-_SERIES_ERROR = 1e-10
+_SERIES_ERROR = 3e-8
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -159,8 +159,9 @@ def reduced_responses(
     poisson_range: tuple[float, float],
     *,
     blocks: int = 1,
+    columns: Int[np.ndarray, " m"] | None = None,
 ) -> list[ProbeResponse]:
-    """Responses of all probings from a reduced model, as Chebyshev series in Poisson's ratio.
+    """Responses of probings from a reduced model, as Chebyshev series in Poisson's ratio.
 
     Parameters
     ----------
@@ -168,6 +169,7 @@ def reduced_responses(
     rows : iterable of ObservationMatrix
     poisson_range : (float, float)    that the model covers
     blocks : int                      1 + d, as `full_responses`
+    columns : (m,) int or None        ascending; which right-hand sides the model is of; None: all
 
     Returns
     -------
@@ -179,11 +181,10 @@ def reduced_responses(
         return [model.coefficients(nu)[0] for nu in _nodes(degree, poisson_range)]
 
     def response_of(probe: ObservationMatrix) -> ProbeResponse:
-        projected = _projected(model, probe, blocks)
+        own = probe.columns if columns is None else np.searchsorted(columns, probe.columns)
+        projected = _projected(model, probe, own, blocks)
         for degree in _DEGREES:
-            series = _series(
-                projected, [column_weights[:, probe.columns] for column_weights in weights(degree)]
-            )
+            series = _series(projected, [each[:, own] for each in weights(degree)])
             if len(series) < degree:
                 break
         return _series_response(probe, series, poisson_range)
@@ -313,12 +314,11 @@ def compliance_error(model: ObjectModel, response: ProbeResponse) -> Nuisance | 
 
 
 def _projected(
-    model: SolutionModel, probe: ObservationMatrix, blocks: int
+    model: SolutionModel, probe: ObservationMatrix, own: Int[np.ndarray, " c"], blocks: int
 ) -> Float[np.ndarray, "n c rows j"]:
     """Observations of each basis vector."""
     terms = [
-        [probe.observed(part) for part in np.split(vectors, blocks)]
-        for vectors in model.basis(probe.columns)
+        [probe.observed(part) for part in np.split(vectors, blocks)] for vectors in model.basis(own)
     ]
     return np.stack(terms).transpose(1, 3, 2, 0).copy()
 
@@ -332,7 +332,7 @@ def _series(
     projected: Float[np.ndarray, "n c rows j"], weights: Sequence[Float[np.ndarray, "j c"]]
 ) -> Float[np.ndarray, "k n rows c"]:
     """Chebyshev coefficients of observations, as many as they need, from their values at as many
-    points as there are weights."""
+    points as there are weights; in single precision."""
     values = np.stack(
         [(projected @ column_weights.T[:, :, None])[..., 0] for column_weights in weights]
     )
@@ -344,7 +344,7 @@ def _series(
     size = np.abs(coefficients).max(axis=(1, 3))
     needed = (size > _SERIES_ERROR * size.max(axis=0)).any(axis=1)
     last = int(np.flatnonzero(needed).max(initial=0))
-    return coefficients[: last + 1].swapaxes(2, 3).copy()
+    return coefficients[: last + 1].swapaxes(2, 3).astype(np.float32)
 
 
 def _series_response(
@@ -357,7 +357,7 @@ def _series_response(
     @lru_cache(maxsize=1)
     def observed(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
         terms = chebvander(mapdomain([poisson_ratio], ends, (-1.0, 1.0)), degree)[0]
-        return np.tensordot(terms, coefficients, axes=1)
+        return np.einsum("k,knrc->nrc", terms, coefficients)
 
     # The series has taken the matrix up, which would be most of what a fit of many probings keeps.
     return ProbeResponse(replace(probe, surface=csr_array(probe.surface.shape)), observed)

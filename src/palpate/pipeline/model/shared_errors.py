@@ -7,12 +7,12 @@ model: the compliance of supports.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array, kron
+from scipy.sparse import csr_array
 
 from palpate.errors import quoted
 from palpate.estimation import (
@@ -41,11 +41,55 @@ _GAIN, _TURN = "gain of the force sensor", "turn of the force sensor"
 _POSE = "pose of the object"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseChanges:
+    """Change of the displacements at points, from those of the vertices, with the pose of the mesh,
+    per standard deviation of each of p parameters.
+
+    Where the mesh is shifted by d relative to the points, its displacement is evaluated at x - d; a
+    rotation also rotates the displacements.
+
+    Attributes
+    ----------
+    here : (n, v) sparse            takes displacements of the v vertices to those at the n points
+    shifts : tuple of p (n, v) sparse   takes them to their change with the place
+    turns : (p, 3, 3) float         takes displacements at the points to their change with the turn
+    """
+
+    here: csr_array
+    shifts: tuple[csr_array, ...]
+    turns: Float[np.ndarray, "p 3 3"]
+
+    def at(self, points: Int[np.ndarray, " m"]) -> "PoseChanges":
+        """Of some of the points."""
+        return replace(
+            self, here=self.here[points], shifts=tuple(each[points] for each in self.shifts)
+        )
+
+    def of(self, vertices: Float[np.ndarray, "rows c"]) -> Float[np.ndarray, "r c p"]:
+        """Change of the displacements at the points, (3 n, c, p).
+
+        Parameters
+        ----------
+        vertices : (rows, c) float  of the vertices, three rows each; further rows are left out
+        """
+        points, count = self.here.shape
+        columns = vertices.shape[1]
+        # Components of one vertex in a row: all are interpolated alike.
+        field = vertices[: 3 * count].reshape(count, -1)
+        here = (self.here @ field).reshape(points, 3, columns)
+        moved = [
+            (shift @ field).reshape(here.shape) + turn @ here
+            for shift, turn in zip(self.shifts, self.turns, strict=True)
+        ]
+        return np.stack(moved, axis=3).reshape(3 * points, columns, -1)
+
+
 def shared_errors(
     model: ObjectModel,
     index: int,
     response: ProbeResponse,
-    change: Sequence[csr_array],
+    change: PoseChanges | None,
     vertices: Response,
 ) -> tuple[Nuisance, ...]:
     """Nuisance parameters of one probing.
@@ -55,7 +99,7 @@ def shared_errors(
     model : ObjectModel
     index : int                     of the probing
     response : ProbeResponse        of the probing
-    change : sequence of csr_array  `pose_changes` of its points
+    change : PoseChanges or None    `pose_changes` of its points
     vertices : function             response of all vertices to its loads
 
     Returns
@@ -72,7 +116,7 @@ def shared_errors(
         nuisances.append(force_direction(priors.force_direction, measured, probing.force_sensor))
     if priors.length_scale > 0.0:
         nuisances.append(length_scale(priors.length_scale))
-    if change and probing.displacement is not None:
+    if change is not None and probing.displacement is not None:
         dips = _pose_dips(model, response, probing.displacement.surface)
         nuisances.append(
             pose_error(priors.pose_translation, priors.pose_rotation, change, vertices, dips)
@@ -88,11 +132,9 @@ def shared_errors(
     return tuple(nuisances)
 
 
-def pose_changes(model: ObjectModel, points: SurfacePoints) -> list[csr_array]:
-    """Change of the displacements at points, from those of the vertices, with the pose of the mesh.
-
-    Where the mesh is shifted by d relative to the points, its displacement is evaluated at x - d; a
-    rotation also rotates the displacements.
+def pose_changes(model: ObjectModel, points: SurfacePoints) -> PoseChanges | None:
+    """Changes of the displacements at points with the pose of the mesh: with three translations,
+    then with three rotations, without those whose prior is exact.
 
     Parameters
     ----------
@@ -101,24 +143,19 @@ def pose_changes(model: ObjectModel, points: SurfacePoints) -> list[csr_array]:
 
     Returns
     -------
-    list of (3 n, 3 v) sparse       per standard deviation of three translations, then of three
-                                    rotations; without those whose prior is exact
+    PoseChanges or None             None: the pose is exact
     """
     stds = _pose_stds(model.session)
     chosen = np.flatnonzero(stds)
     if not chosen.size:
-        return []
+        return None
     nodes, count = model.system.surface.displacement, points.triangle.size
     both = interpolation_matrix(nodes, *_beside(model, points))
-    changes = both[: chosen.size * count] - both[chosen.size * count :]
-    at_points = interpolation_matrix(nodes, points.triangle, points.barycentric)
-    sparse = []
-    for row, k in enumerate(chosen):
-        change = kron(changes[row * count : (row + 1) * count], np.eye(3))
-        if k >= 3:
-            change = change + kron(at_points, stds[k] * _TURNS[k - 3])
-        sparse.append(csr_array(change))
-    return sparse
+    changes = csr_array(both[: chosen.size * count] - both[chosen.size * count :])
+    shifts = tuple(changes[row * count : (row + 1) * count] for row in range(chosen.size))
+    turns = np.concatenate([np.zeros((3, 3, 3)), _TURNS]) * stds[:, None, None]
+    here = csr_array(interpolation_matrix(nodes, points.triangle, points.barycentric))
+    return PoseChanges(here, shifts, turns[chosen])
 
 
 def pose_dips(
@@ -251,7 +288,7 @@ def length_scale(std: float) -> Nuisance:
 def pose_error(
     translation: float,
     rotation: float,
-    change: Sequence[csr_array],
+    change: PoseChanges,
     vertices: Callable[[float], Float[np.ndarray, "rows c"]],
     dips: Callable[[float], Float[np.ndarray, "p r t"]],
 ) -> Nuisance:
@@ -261,9 +298,7 @@ def pose_error(
     ----------
     translation, rotation : float [m], [rad]    standard deviation along and about each axis; 0 =
                                                 exact
-    change : sparse arrays (3 n, 3 v)           one for each parameter: takes the displacement of
-                                                the v vertices to its change at the n points, per
-                                                standard deviation
+    change : PoseChanges                        of n points, for each parameter
     vertices : function                         Poisson's ratio -> (rows, c) float: response of all
                                                 vertices, three rows each (`ResponseModel`)
     dips : function                             Poisson's ratio -> (p, 3 n, t) float: further change
@@ -277,8 +312,7 @@ def pose_error(
 
     def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:
         # Rows of a measured contact point follow those of the vertices.
-        field = vertices(at.poisson_ratio)[: change[0].shape[1]]
-        moved = np.stack([matrix @ field for matrix in change], axis=2)
+        moved = change.of(vertices(at.poisson_ratio))
         further = dips(at.poisson_ratio)
         moved[:, : further.shape[2]] += np.moveaxis(further, 0, 2)
         # The contact point moves with the tool, not with the mesh.

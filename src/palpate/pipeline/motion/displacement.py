@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import bsr_array
 
 from palpate.disk import write_bytes
 from palpate.errors import InputError
@@ -372,8 +372,8 @@ def _kept_average(arrays: dict[str, np.ndarray], k: int) -> SurfaceAverage | Non
     points, weights, columns, rows = (
         arrays[f"average {part} {k}"] for part in ("points", "weights", "columns", "rows")
     )
-    shape = len(rows) - 1, 3 * len(points)
-    return SurfaceAverage(points, csr_array((weights, columns, rows), shape=shape))
+    shape = 3 * (len(rows) - 1), 3 * len(points)
+    return SurfaceAverage(points, bsr_array((weights, columns, rows), shape=shape))
 
 
 def _kept_probing(

@@ -396,7 +396,7 @@ def _used(weights: csr_array, points: Points) -> SurfaceAverage:
     used[reliable.indices] = True
     counts = used.reshape(-1, 3).any(axis=1)
     columns = np.flatnonzero(np.repeat(counts, 3))
-    return SurfaceAverage(points[counts], csr_array(reliable[:, columns]))
+    return SurfaceAverage(points[counts], bsr_array(reliable[:, columns], blocksize=(3, 3)))
 
 
 def local_fits(
