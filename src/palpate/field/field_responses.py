@@ -416,16 +416,14 @@ def _changed(
     missing = missed(probe.response, points.from_nodes)
 
     def along_coefficients(by: Float[np.ndarray, "b j"]) -> Float[np.ndarray, "r j"]:
-        """Derivative of the rows by what the coefficients change by, which is large."""
-        derivative = points.from_corners @ expansion.derivative[index]
-        return (derivative - scale * np.outer(missing, local)) @ by
+        """Change of the rows, to first order, with changes of the coefficients."""
+        changed = points.from_corners @ (expansion.derivative[index] @ by)
+        return changed - scale * np.outer(missing, local @ by)
 
     along = probe.force / (probe.force @ probe.force)
     moved = np.stack([expansion.change[:, index], expansion.slope[:, index]], axis=1)
     expected = np.stack([prior.mean - expansion.coefficients, prior.by_ratio], axis=1)
-    here = points.from_nodes @ moved
-    if expected.any():
-        here += along_coefficients(expected)
+    here = points.from_nodes @ moved + along_coefficients(expected)
     here[:, 0] += (scale - 1.0) * missing
     response = _Changed(probe.response, along, expansion.poisson_ratio, *here.T)
     vertices = probe.vertices
@@ -435,9 +433,8 @@ def _changed(
         vertices = _Changed(vertices, along, expansion.poisson_ratio, *there.T)
     settlement = None
     if prior.by_log_modulus.any():
-        rising = along[:, None] * along_coefficients(prior.by_log_modulus[:, None])[:, :1].T
-        columns = np.zeros((rising.shape[1], 4 + len(probe.motion)))
-        columns[:, :3] = rising.T
+        rising = along_coefficients(prior.by_log_modulus[:, None]) * along
+        columns = np.pad(rising, ((0, 0), (0, 1 + len(probe.motion))))
         settlement = Settlement(prior.shear_modulus, lambda _: columns)
 
     def effects(at: ResponseTerms) -> Float[np.ndarray, "r 1 c p"]:

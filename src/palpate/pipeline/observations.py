@@ -491,10 +491,6 @@ def _observations(
     probing = session.probings[index]
     field = _measured(probing)
     motion, motion_std = _motions(session, model, index)
-    force_std = probing.force_std
-    if force_std is None:
-        length = float(np.linalg.norm(probing.force))
-        force_std = np.full(3, session.errors.force * length)
     return ProbeObservations(
         name=probing.name,
         position=field.points,
@@ -503,7 +499,7 @@ def _observations(
         covariance=field.covariance,
         correlation=field.correlation,
         force=probing.force,
-        force_std=force_std,
+        force_std=session.force_std(probing),
         tip_displacement=probing.tip_displacement,
         tip_displacement_std=probing.tip_displacement_std,
         response=response,

@@ -222,7 +222,7 @@ def _changes(
         tool = works.tool * works.owner[k][:, None]
         if not tool.any():
             continue
-        for a, std in enumerate(_force_std(session, probing)):
+        for a, std in enumerate(session.force_std(probing)):
             unit = (tool != 0.0).any(axis=1)[:, None] * axes[a]
             yield std * works.of(unit, works.mean)
         point_std = priors.contact_std(probing.name)
@@ -256,13 +256,6 @@ def _changes(
                     yield identity[k][:, None] * works.of(
                         works.force, std[m] * np.tile(modes[..., m], (count, 1, 1))
                     )
-
-
-def _force_std(session: Session, probing: Probing) -> Vector3:
-    """Standard deviation of a force, each component [N]: its own, or the session's."""
-    if probing.force_std is not None:
-        return probing.force_std
-    return np.full(3, session.errors.force * float(np.linalg.norm(probing.force)))
 
 
 def _unknowns(
@@ -385,7 +378,7 @@ def _excesses(
     excesses = []
     for k in np.unique(pairs):
         probing = works.probings[k]
-        along = _force_std(session, probing) * probing.force
+        along = session.force_std(probing) * probing.force
         known = float(np.linalg.norm(along)) / max(sizes[k] ** 2, np.finfo(float).tiny)
         excesses.append(excess(probing.name, by_tool * np.eye(len(sizes))[k], known))
     share = sizes / max(float(sizes.max()), np.finfo(float).tiny)

@@ -135,6 +135,12 @@ class Session:
         """Gravity that begins to act with the push, a load of every model [m/s^2]."""
         return None if self.gravity_at_rest else self.gravity
 
+    def force_std(self, probing: Probing) -> Vector3:
+        """Standard deviation of a probing's force, each component [N]: its own, or the prior's."""
+        if probing.force_std is not None:
+            return probing.force_std
+        return np.full(3, self.errors.force * float(np.linalg.norm(probing.force)))
+
     def __repr__(self) -> str:
         names = [item.name for item in self.probings] or [item.name for item in self.steps]
         count = counted(len(names), "step" if self.steps else "probing")

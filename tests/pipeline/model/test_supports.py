@@ -197,6 +197,42 @@ def test_a_pulled_grip_stretches_a_bar_without_contraction():
     assert seen.motion_std.shape == (3,)
 
 
+def test_an_easily_bent_sheet_is_where_it_is_seen_not_where_forces_say():
+    """The force across would have to be known to 1e-4 of the one along to say where the head of a
+    thin sheet is: its shift across stands for it, of the same displacements in other terms."""
+    size, nu = np.array([0.1, 0.02, 0.001]), 0.45
+    mesh = box(size=size, cells=(40, 8, 1))
+    middle = mesh.vertices[mesh.triangles].mean(axis=1)
+    foot, head = (np.flatnonzero(np.abs(middle[:, 0] - x) < 1e-9) for x in (0.0, size[0]))
+    points = mesh.vertices[mesh.vertices[:, 0] > 0.5 * size[0]]
+    still, std = np.zeros_like(points), np.full_like(points, NOISE)
+    field = DisplacementField(points, still, std, None, closest_points(mesh, points), "field.csv")
+    contact = Contact(middle[head].mean(axis=0), None, RIGID, head)
+    force = np.array([0.4, 0.0, 0.0])
+
+    def columns_of(force_std):
+        probing = Probing("n", contact, force, np.full(3, force_std), None, None, field, None)
+        session = Session(
+            "sheet", Path("sheet"), mesh, np.concatenate([foot, head]), (probing,), None, None,
+            None, (), supports=(Support(foot, FREE), Support(head, FREE)), errors=NO_ERRORS,
+        )  # fmt: skip
+        return columns(session, nu)[1]
+
+    by_force, by_shift = columns_of(0.0), columns_of(0.01)
+    at_head = points[:, 0] > size[0] - 1e-9
+    # The mesh's own error bends the sheet that is stretched, by a part of the stretch.
+    along = by_force[:, 0].reshape(-1, 3)[at_head]
+    assert np.abs(along[:, 2]).max() > 0.02 * np.abs(along[:, 0]).max()
+    along = by_shift[:, 0].reshape(-1, 3)[at_head]
+    assert np.abs(along[:, 2]).max() < 1e-9 * np.abs(along[:, 0]).max()
+    used = [0, 1, 2, *range(4, by_force.shape[1])]
+    old, new = (
+        value[:, used] / np.linalg.norm(value[:, used], axis=0) for value in (by_force, by_shift)
+    )
+    missed = old - new @ np.linalg.lstsq(new, old)[0]
+    assert np.linalg.norm(missed, axis=0).max() < 1e-6
+
+
 def test_loads_add_up():
     points = side_points(np.random.default_rng(6), 20)
     contact = Contact(np.array([0.02, 0.005, 0.01]), 0.004, "smooth")

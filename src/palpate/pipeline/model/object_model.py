@@ -2,7 +2,7 @@
 observations of each probing as functions of its solutions: displacements of its points and its tip,
 motions of supports."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -36,6 +36,7 @@ from palpate.pipeline.model.supports import (
 )
 from palpate.progress import Progress, silent
 from palpate.records import GIVEN, RIGID, Session, SurfaceAverage
+from palpate.shapes import Vector3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,6 +141,12 @@ def make_object_model(
     )  # fmt: skip
 
 
+# How far the place of a support must be from known, over how far its force took it, for its force
+# along an axis to say nothing of it.
+_FAR = 10.0
+_TINY = float(np.finfo(float).tiny)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbeMotions:
     """Motions of a probing's supports.
@@ -154,18 +161,42 @@ class ProbeMotions:
                                       along x, y and z: its force replaces them
     holding : (3, 3) float            projector onto the directions in which the support holds the
                                       object and is pulled
+    load : (2, 3) float [N]           force on that support, and its standard deviation
+    yielding : (3,) float [m/N]       along the axes in which its force says nothing of where it is,
+                                      what stands for its translation per newton; else 0
     """
 
     own: Float[np.ndarray, "n_rows q"]
     support_force: csr_array | None = None
     pulled_translations: tuple[int, ...] = ()
     holding: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
+    load: Float[np.ndarray, "2 3"] = field(default_factory=lambda: np.zeros((2, 3)))
+    yielding: Vector3 = field(default_factory=lambda: np.zeros(3))
+
+    def where_force_counts(self, force: Float[np.ndarray, "3 q"]) -> "ProbeMotions":
+        """The motions with `yielding` along the axes in which the object gives so easily, and its
+        force is known so little, that it could be far from where the force along took it: a thin
+        sheet in tension bends under 1e-4 of what stretches it, less than is right in any mesh.
+        There its translation is unknown, and not its force.
+
+        Parameters
+        ----------
+        force : (3, q) float          force on the support per unit of each motion
+        """
+        if self.support_force is None or not np.array_equal(self.holding, np.eye(3)):
+            return self
+        compliance = np.linalg.inv(force[:, list(self.pulled_translations)])
+        given, std = self.load
+        along = float(given @ compliance @ given) / max(float(np.linalg.norm(given)), _TINY)
+        diagonal = np.diag(compliance)
+        far = std * diagonal > _FAR * along
+        return replace(self, yielding=np.where(far & (along > 0.0), diagonal, 0.0))
 
     def split(
         self, moved: Float[np.ndarray, "n_rows q"], force: Float[np.ndarray, "3 c"]
     ) -> tuple[Float[np.ndarray, "n_rows 3"], Float[np.ndarray, "n_rows r"]]:
         """Displacement per newton on the support that is pulled, and per unit of the remaining
-        motions at constant force on it.
+        motions at constant force on it; along `yielding` axes at constant translation.
 
         Parameters
         ----------
@@ -176,14 +207,17 @@ class ProbeMotions:
         -------
         two arrays                    the second without the columns `pulled_translations`
         """
-        pulled = list(self.pulled_translations)
+        pulled = np.array(self.pulled_translations)
         others = np.setdiff1d(np.arange(moved.shape[1]), pulled)
         # A roller transmits force along the directions that it holds only.
-        value, vector = np.linalg.eigh(self.holding)
+        counts = self.yielding == 0.0
+        value, vector = np.linalg.eigh(self.holding * np.outer(counts, counts))
         along = vector[:, value > 0.5]
         compliance = along @ np.linalg.solve(along.T @ force[:, pulled] @ along, along.T)
         per_newton = moved[:, pulled] @ compliance
-        return per_newton, moved[:, others] - per_newton @ force[:, others]
+        at_force = moved - per_newton @ force
+        per_newton += at_force[:, pulled] * self.yielding
+        return per_newton, at_force[:, others]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,6 +257,15 @@ class ObservationMatrix:
     def support_force(self) -> csr_array | None:
         """See `ProbeMotions`."""
         return None if self.motions is None else self.motions.support_force
+
+    def where_force_counts(self, observed: Float[np.ndarray, "rows c"]) -> "ObservationMatrix":
+        """These, with the motions as `ProbeMotions.where_force_counts`, from what is observed at
+        any Poisson's ratio."""
+        if self.support_force is None or self.motions is None:
+            return self
+        last = observed.shape[1] - self.changes
+        force = observed[-3:, last - self.motions.own.shape[1] : last]
+        return replace(self, motions=self.motions.where_force_counts(force))
 
     def observed(self, solution: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "rows c"]:
         """What is interpolated of the observed displacements, then the force on the support that is
@@ -449,7 +492,12 @@ def _motions(model: ObjectModel, index: int, observed: csr_array) -> ProbeMotion
     pulled = model.pulled_support(index)
     if pulled is None:
         return ProbeMotions(motions)
+    probing = model.session.probings[index]
     force = support_force(model.system, model.supports[pulled].triangles, model.springs)
     return ProbeMotions(
-        motions, force, model.pulled_translations(index), model.supports[pulled].holding
+        motions,
+        force,
+        model.pulled_translations(index),
+        model.supports[pulled].holding,
+        np.stack([probing.force, model.session.force_std(probing)]),
     )

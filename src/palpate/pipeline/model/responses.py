@@ -45,10 +45,12 @@ _SLOPE_STEP = 1e-4
 # Solutions that are kept: derivatives in Poisson's ratio ask for three, again and again where it is
 # held.
 _KEPT = 8
-# Degrees of the series tried, and the coefficient over the largest below which they end: that of
-# single precision, in which they are kept, as they are a good part of what a fit keeps.
+# Degrees of the series tried, and the coefficient over the largest below which they end: of
+# displacements that of single precision, in which they are kept, as they are a good part of what a
+# fit keeps. Forces on a support that is pulled are inverted: to shift the end of a thin sheet
+# across takes 1e-4 of the force that shifts it along.
 _DEGREES = (16, 32, 64, 128)
-_SERIES_ERROR = 3e-8
+_SERIES_ERROR, _FORCE_ERROR = 3e-8, 1e-10
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -148,7 +150,9 @@ def full_responses(
             parts = np.split(latest(poisson_ratio)[:, probe.columns], blocks)
             return np.stack([probe.observed(part) for part in parts])
 
-        return ProbeResponse(probe, observed)
+        if probe.support_force is None:
+            return ProbeResponse(probe, observed)
+        return ProbeResponse(probe.where_force_counts(observed(CENTRE)[0]), observed)
 
     return list(map(response_of, rows))
 
@@ -184,10 +188,12 @@ def reduced_responses(
         own = probe.columns if columns is None else np.searchsorted(columns, probe.columns)
         projected = _projected(model, probe, own, blocks)
         for degree in _DEGREES:
-            series = _series(projected, [each[:, own] for each in weights(degree)])
-            if len(series) < degree:
+            at_nodes = [node_weights[:, own] for node_weights in weights(degree)]
+            moved = _series(projected[:, :, :-3], at_nodes, _SERIES_ERROR).astype(np.float32)
+            force = _series(projected[:, :, -3:], at_nodes, _FORCE_ERROR)
+            if max(len(moved), len(force)) < degree:
                 break
-        return _series_response(probe, series, poisson_range)
+        return _series_response(probe, (moved, force), poisson_range)
 
     # One after the other: what is projected is larger than its series.
     return list(map(response_of, rows))
@@ -329,10 +335,12 @@ def _nodes(degree: int, ends: tuple[float, float]) -> list[float]:
 
 
 def _series(
-    projected: Float[np.ndarray, "n c rows j"], weights: Sequence[Float[np.ndarray, "j c"]]
+    projected: Float[np.ndarray, "n c rows j"],
+    weights: Sequence[Float[np.ndarray, "j c"]],
+    error: float,
 ) -> Float[np.ndarray, "k n rows c"]:
-    """Chebyshev coefficients of observations, as many as they need, from their values at as many
-    points as there are weights; in single precision."""
+    """Chebyshev coefficients of observations from their values at as many points as there are
+    weights, without the last ones that are below an error relative to the largest."""
     values = np.stack(
         [(projected @ column_weights.T[:, :, None])[..., 0] for column_weights in weights]
     )
@@ -341,24 +349,28 @@ def _series(
     # Orthogonal at these points.
     transform = at_nodes.T / np.square(at_nodes).sum(axis=0)[:, None]
     coefficients = np.tensordot(transform, values, axes=1)
-    size = np.abs(coefficients).max(axis=(1, 3))
-    needed = (size > _SERIES_ERROR * size.max(axis=0)).any(axis=1)
+    size = np.abs(coefficients).max(axis=(1, 3), initial=0.0)
+    needed = (size > error * size.max(axis=0)).any(axis=1)
     last = int(np.flatnonzero(needed).max(initial=0))
-    return coefficients[: last + 1].swapaxes(2, 3).astype(np.float32)
+    return coefficients[: last + 1].swapaxes(2, 3)
 
 
 def _series_response(
     probe: ObservationMatrix,
-    coefficients: Float[np.ndarray, "k n rows c"],
+    coefficients: tuple[Float[np.ndarray, "k n rows c"], Float[np.ndarray, "l n 3 c"]],
     ends: tuple[float, float],
 ) -> ProbeResponse:
-    degree = len(coefficients) - 1
+    """Response from the coefficients of the displacements and of the forces."""
 
     @lru_cache(maxsize=1)
     def observed(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
-        terms = chebvander(mapdomain([poisson_ratio], ends, (-1.0, 1.0)), degree)[0]
-        return np.einsum("k,knrc->nrc", terms, coefficients)
+        x = mapdomain([poisson_ratio], ends, (-1.0, 1.0))
+        parts = [
+            np.einsum("k,knrc->nrc", chebvander(x, len(part) - 1)[0], part) for part in coefficients
+        ]
+        return np.concatenate(parts, axis=1)
 
+    probe = probe.where_force_counts(observed(float(np.mean(ends)))[0])
     # The series has taken the matrix up, which would be most of what a fit of many probings keeps.
     return ProbeResponse(replace(probe, surface=csr_array(probe.surface.shape)), observed)
 
