@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import bsr_array, csr_array
 
 import palpate
 from palpate.disk import atomic_replacement, created_folder
@@ -27,6 +27,7 @@ T = TypeVar("T")
 _PART_NAME = re.compile(r"[0-9a-f]{64}")
 # Name, among a part's arrays, of the text that says what they are parts of.
 _TREE = "tree"
+_SPARSE = (bsr_array, csr_array)
 # Largest size of a cache [bytes], and fraction of what is free without it. All of a body
 # of 5000 vertices, the largest that is solved with dense matrices, takes 10 GB.
 _MOST_BYTES, _MOST_FRACTION = 16 * 2**30, 0.25
@@ -149,6 +150,8 @@ def _update_digest(digest: "hashlib._Hash", value: Any) -> None:
         digest.update(f"{value.shape} {value.dtype.str} ".encode())
         # The bytes in place, without a copy: a model's integrals are large.
         digest.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
+    elif isinstance(value, _SPARSE):
+        _update_digest(digest, (value.data, value.indices, value.indptr, value.shape))
     elif isinstance(value, Mapping):
         _update_digest(digest, list(value.items()))
     elif isinstance(value, (list, tuple)):
@@ -184,8 +187,8 @@ def _as_tree(value: Any, names: Mapping[int, str], arrays: dict[int, np.ndarray]
         return [kind.__name__, [inner(item) for item in value]]
     if kind is dict:
         return ["dict", [[inner(name), inner(item)] for name, item in value.items()]]
-    if kind is csr_array:
-        return ["sparse", [inner(part) for part in (value.data, value.indices, value.indptr)],
+    if kind in _SPARSE:
+        return [kind.__name__, [inner(part) for part in (value.data, value.indices, value.indptr)],
                 [int(length) for length in value.shape]]  # fmt: skip
     if isinstance(value, Enum):
         return ["enum", kind.__module__, kind.__qualname__, value.name]
@@ -228,8 +231,9 @@ def _from_tree(tree: Any, known: Mapping[str, Any], arrays: Mapping[str, np.ndar
             return list(map(inner, items))
         case ["dict", pairs]:
             return {inner(name): inner(item) for name, item in pairs}
-        case ["sparse", parts, shape]:
-            matrix = csr_array(tuple(map(inner, parts)), shape=tuple(shape))
+        case ["csr_array" | "bsr_array" as name, parts, shape]:
+            kind = next(kind for kind in _SPARSE if kind.__name__ == name)
+            matrix = kind(tuple(map(inner, parts)), shape=tuple(shape))
             # An index out of range would be read outside the array.
             matrix.check_format()
             return matrix

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy.sparse import bsr_array, csr_array
 
 from palpate import checkpoints
 from palpate.checkpoints import Checkpoints, content_digest
@@ -17,6 +18,8 @@ PART = (
     {"status": Status.OK, "constant": Constant(1.0, np.float64(0.1), (0.5, 1.5)), "text": b"x"},
     {1: np.asfortranarray(np.arange(6).reshape(2, 3)), None: np.float32(np.nan), "odd": "\ud800\n"},
     [None, True, 3, np.nan],
+    csr_array(np.diag([1.0, 0.0, 2.0])),
+    bsr_array(np.kron(np.eye(2), np.full((3, 3), np.float32(0.5))), blocksize=(3, 3)),
 )
 
 
@@ -104,6 +107,7 @@ class _Pair:
         ([1, [2]], [1, 2]),
         ({"a": 1}, {"a": 1.0}),
         (np.zeros(2000), np.eye(1, 2000, 1000)[0]),
+        (csr_array(np.diag([1.0, 2.0])), csr_array(np.diag([1.0, 3.0]))),
     ],
 )
 def test_digests_tell_apart(first, other):

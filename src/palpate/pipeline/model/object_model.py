@@ -142,8 +142,8 @@ def make_object_model(
 
 
 # How far the place of a support must be from known, over how far its force took it, for its force
-# along an axis to say nothing of it.
-_FAR = 10.0
+# along an axis to say nothing of it; and how far it may be then.
+_FAR, _ANYWHERE = 10.0, 1e3
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -188,9 +188,10 @@ class ProbeMotions:
         compliance = np.linalg.inv(force[:, list(self.pulled_translations)])
         given, std = self.load
         along = float(given @ compliance @ given) / max(float(np.linalg.norm(given)), _TINY)
-        diagonal = np.diag(compliance)
-        far = std * diagonal > _FAR * along
-        return replace(self, yielding=np.where(far & (along > 0.0), diagonal, 0.0))
+        far = std * np.diag(compliance) > _FAR * max(along, _TINY)
+        # Nearly the same for all meshes, though their bending differs.
+        size = np.divide(_ANYWHERE * along, std, out=np.zeros(3), where=far)
+        return replace(self, yielding=size)
 
     def split(
         self, moved: Float[np.ndarray, "n_rows q"], force: Float[np.ndarray, "3 c"]
