@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import tomlkit
+from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from palpate.bench.pushing import PushError, TakenPush, write_picture
@@ -341,19 +342,17 @@ class LiveSession:
         both = is_valid(loaded) & is_valid(left)
         if not both.any():
             return 0.0, 0.0
-        points, moved, remains = (
-            left.point[both],
-            loaded.displacement[both],
-            left.displacement[both],
-        )
-        noise = [float(np.trace(x.covariance[both].mean(axis=0))) for x in (left, loaded)]
+        points = left.point[both]
+        motions = [(x.displacement[both], x.covariance[both]) for x in (left, loaded)]
+        remains, moved = (displacement for displacement, _ in motions)
         back = moved - remains
-        slid = _rms(rigid_part(points, remains, like=back))
-        # Seven numbers of all components.
-        sigma = np.sqrt(noise[0] * 7.0 / remains.size)
+        rigid, sigma = rigid_part(points, *motions[0], like=back)
+        slid = _rms(rigid)
+        # So many points share the noise of a window.
+        sigma *= max(method.subset / method.step, 1.0)
         shapes = [
-            max(_rms(x - rigid_part(points, x)) ** 2 - known, 0.0)
-            for x, known in zip((remains, moved), noise, strict=True)
+            max(_rms(x - rigid_part(points, x, c)[0]) ** 2 - np.trace(c.mean(axis=0)), 0.0)
+            for x, c in motions
         ]
         # Of noise alone nothing; of what is seen afterwards only, all.
         pressed = float(np.sqrt(shapes[0] / shapes[1])) if shapes[1] else float(shapes[0] > 0.0)
@@ -387,24 +386,36 @@ class LiveSession:
         return share * table.quantity(key, LENGTH_UNITS, self.metres)
 
 
-def rigid_part(points: Points, moved: Points, *, like: Points | None = None) -> Points:
+def rigid_part(
+    points: Points,
+    moved: Points,
+    covariance: Float[np.ndarray, "n 3 3"],
+    *,
+    like: Points | None = None,
+) -> tuple[Points, float]:
     """The rigid motion in a displacement that is one, and a multiple of another displacement.
 
     Parameters
     ----------
     points, moved : (n, 3) float [m]
+    covariance : (n, 3, 3) float [m^2]  of the displacement; points are independent
     like : (n, 3) float [m] or None     None: a rigid motion alone
 
     Returns
     -------
-    (n, 3) float [m]                of the points
+    displacement : (n, 3) float [m]     of the points
+    sigma : float [m]               root mean square over the points of its standard deviation
     """
     modes = rigid_modes(points, points.mean(axis=0))
     modes = modes / np.linalg.norm(modes, axis=(0, 1))
     if like is not None:
         modes = np.concatenate([modes, like[..., None] / np.linalg.norm(like)], axis=2)
-    share = np.linalg.lstsq(modes.reshape(3 * len(points), -1), moved.ravel())[0]
-    return np.asarray(modes[..., :6] @ share[:6])
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    inverse = np.linalg.pinv((whitening @ modes).reshape(moved.size, -1))[:6]
+    rigid = modes[..., :6].reshape(-1, 6)
+    share = inverse @ np.einsum("nij,nj->ni", whitening, moved).ravel()
+    variance = np.sum((rigid.T @ rigid) * (inverse @ inverse.T)) / len(points)
+    return (rigid @ share).reshape(-1, 3), float(np.sqrt(variance))
 
 
 def _rms(vectors: Points) -> float:
