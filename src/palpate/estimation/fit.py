@@ -49,6 +49,7 @@ from palpate.estimation.predictions import (
     probe_fits,
     sizes_of_errors,
 )
+from palpate.geometry import place_text
 from palpate.progress import Progress, part_of, silent
 from palpate.records import (
     SURPRISING,
@@ -408,11 +409,11 @@ def _contradiction_note(contradiction: Contradiction) -> str:
             f" what the session allows: either that is wrong or the model is ({_OTHER_SUSPECTS})."
         )
     near = f"near {contradiction.landmark}, " if contradiction.landmark else ""
-    position = ", ".join(f"{1e3 * x:.1f}" for x in contradiction.place)
+    position = place_text(contradiction.place, decimals=1)
     return (
         f"The model leaves {100.0 * contradiction.share:.2g} % of the motion of probing"
         f" {contradiction.source!r} unexplained, {contradiction.sigmas:.1f} times as much as its"
-        f" mesh accounts for, most of it {near}around ({position}) mm. It may be"
+        f" mesh accounts for, most of it {near}around {position}. It may be"
         f" {_SUSPECTS.get(contradiction.landmark, _OTHER_SUSPECTS)}."
     )
 

@@ -69,6 +69,7 @@ from palpate.geometry.triangle_mesh import (
     half_edges as half_edges,
     is_outer as is_outer,
     morton_order as morton_order,
+    place_text as place_text,
     random_points as random_points,
     split_sides as split_sides,
     triangle_areas as triangle_areas,

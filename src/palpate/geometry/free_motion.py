@@ -25,6 +25,7 @@ from palpate.geometry.triangle_mesh import (
     TriangleMesh,
     bounding_diagonal,
     half_edges,
+    place_text,
     unit_normals,
 )
 from palpate.shapes import Flags, Points, PointScalars, Vector3
@@ -216,7 +217,7 @@ def motion_texts(free: Float[np.ndarray, "k 6"], centre: Vector3, size: float) -
     if len(rotations) == 3:
         pivot, gap = _pivot(rotations, centre)
         if gap < _MIN_NAMED * size:
-            return (*texts, f"turning about any axis through {_place(pivot)}")
+            return (*texts, f"turning about any axis through {place_text(pivot, decimals=1)}")
     return (*texts, *(_turn_text(turn, centre, size) for turn in rotations))
 
 
@@ -254,14 +255,10 @@ def _turn_text(turn: Float[np.ndarray, "6"], centre: Vector3, size: float) -> st
     axis_point = axis_point - axis * (axis @ axis_point)
     how = "turning" if abs(pitch) < _MIN_NAMED * size else "turning and sliding along"
     about = "about the axis" if how == "turning" else "the axis"
-    return f"{how} {about} {_vector(axis)} through {_place(axis_point)}"
+    return f"{how} {about} {_vector(axis)} through {place_text(axis_point, decimals=1)}"
 
 
 def _vector(direction: Vector3) -> str:
     unit = direction / np.linalg.norm(direction)
     unit = unit * (1.0 if unit[np.abs(unit).argmax()] > 0.0 else -1.0)
     return "(" + ", ".join(f"{value + 0.0:.2f}" for value in np.round(unit, 2) + 0.0) + ")"
-
-
-def _place(point: Vector3) -> str:
-    return "(" + ", ".join(f"{v:.1f}" for v in np.round(1e3 * point, 1) + 0.0) + ") mm"

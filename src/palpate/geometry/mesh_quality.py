@@ -16,6 +16,7 @@ from palpate.geometry.triangle_mesh import (
     connected_components,
     enclosed_volume,
     half_edges,
+    place_text,
     triangle_areas,
     unit_normals,
 )
@@ -152,7 +153,8 @@ def _check_degenerate(mesh: TriangleMesh) -> None:
         where = corner[flat[0]].mean(axis=0)
         raise MeshError(
             f"{len(flat)} triangles are degenerate (no area), the first: {_first(flat)} near"
-            f" {_place(where)}; remove them in a mesh program (merge close vertices, then remesh)"
+            f" {place_text(where)}; remove them in a mesh program (merge close vertices, then"
+            " remesh)"
         )
 
 
@@ -175,7 +177,7 @@ def _check_edges(mesh: TriangleMesh, halves: HalfEdges) -> None:
         a, b = halves.ends[crowded[0]]
         raise MeshError(
             f"{len(crowded)} edges belong to more than two triangles, the first between vertices"
-            f" {a} and {b} near {_place(mesh.vertices[a])}; the surface must be a single skin:"
+            f" {a} and {b} near {place_text(mesh.vertices[a])}; the surface must be a single skin:"
             " delete inner walls and make the parts one solid (boolean union)"
         )
     lonely = np.flatnonzero(halves.count == 1)
@@ -183,7 +185,7 @@ def _check_edges(mesh: TriangleMesh, halves: HalfEdges) -> None:
         a, b = halves.ends[lonely[0]]
         raise MeshError(
             f"the surface is open: {len(lonely)} edges belong to one triangle only, the first"
-            f" between vertices {a} and {b} near {_place(mesh.vertices[a])};"
+            f" between vertices {a} and {b} near {place_text(mesh.vertices[a])};"
             " close the holes in a mesh program (fill holes), the support's side included"
         )
 
@@ -204,7 +206,7 @@ def _check_vertex_fans(mesh: TriangleMesh, halves: HalfEdges) -> None:
     pinched = np.flatnonzero(np.bincount(fans) > 1)
     raise MeshError(
         f"at {len(pinched)} vertices separate parts of the surface touch in a point, the first:"
-        f" {_first(pinched)} near {_place(mesh.vertices[pinched[0]])};"
+        f" {_first(pinched)} near {place_text(mesh.vertices[pinched[0]])};"
         f" pull the parts apart or join them over a whole edge"
     )
 
@@ -269,14 +271,9 @@ def _check_self_intersection(mesh: TriangleMesh) -> None:
         where = mesh.vertices[mesh.triangles[pairs[0, 0]]].mean(axis=0)
         raise MeshError(
             f"the surface intersects itself: {len(pairs)} pairs of triangles, the first:"
-            f" {_first(pairs)} near {_place(where)};"
+            f" {_first(pairs)} near {place_text(where)};"
             " mend it in a mesh program (boolean union with itself, or remesh)"
         )
-
-
-def _place(point: np.ndarray) -> str:
-    """Coordinates for a message [m]."""
-    return "(" + ", ".join(f"{x:.4g}" for x in point) + ") m"
 
 
 def wall_thickness(mesh: TriangleMesh) -> PointScalars:

@@ -4,6 +4,7 @@ A side is a part of the surface within which normals, tractions and gradients ar
 may jump from one side to the next.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -447,3 +448,20 @@ def is_outer(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
         np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
     )
     return np.asarray(count[where.ravel()] == 1)
+
+
+def place_text(point: Vector3 | Sequence[float], *, decimals: int = 2) -> str:
+    """Coordinates in millimetres, for a message.
+
+    Parameters
+    ----------
+    point : (3,) float [m]
+    decimals : int                  of the millimetres, at most
+
+    Returns
+    -------
+    str                             e.g. `(1.25, 0, 40) mm`
+    """
+    # What is rounded to zero has no sign.
+    rounded = np.round(1e3 * np.asarray(point), decimals) + 0.0
+    return "(" + ", ".join(f"{x:.10g}" for x in rounded) + ") mm"

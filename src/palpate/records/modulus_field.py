@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from palpate.arrays import fix_fields
 from palpate.errors import InputError
-from palpate.geometry import TriangleMesh, is_outer
+from palpate.geometry import TriangleMesh, is_outer, place_text
 from palpate.shapes import Indices, Points
 
 # Elements that may hold a point: the nearest ones; and how far outside one still counts, over its
@@ -72,18 +72,18 @@ class StiffPart:
         """For a reader, without full stop: a smooth field rounds edges, so a small part differs by
         more than its interval says."""
         least, word = (self.low, "stiff") if self.ratio >= 1.0 else (1.0 / self.high, "soft")
-        centre = ", ".join(str(round(1e3 * x)) for x in self.centre)
+        centre = place_text(self.centre, decimals=0)
         if self.place_std is not None:
             ratio, most = self.ratio, self.high
             if self.ratio < 1.0:
                 ratio, most = 1.0 / self.ratio, 1.0 / self.low
             ratio, most = (float(f"{value:.2g}") for value in (ratio, most))
             return (
-                f"a round part near ({centre}) mm (+- {1e3 * self.place_std:.1f}) is {least:.2g} to"
+                f"a round part near {centre} (+- {1e3 * self.place_std:.1f}) is {least:.2g} to"
                 f" {most:g} times as {word} as the rest; at {ratio:g} times it is about"
                 f" {1e3 * self.size:.0f} mm across, and larger if it differs less"
             )
-        what = f"a part about {1e3 * self.size:.0f} mm across near ({centre}) mm"
+        what = f"a part about {1e3 * self.size:.0f} mm across near {centre}"
         if self.depth:
             what = f"the outermost {1e3 * self.depth:.2g} mm or so"
         return f"{what} is at least {least:.2g} times as {word} as the rest"

@@ -8,6 +8,7 @@ from palpate.errors import InputError, quoted
 from palpate.geometry import (
     TriangleMesh,
     bounding_diagonal,
+    place_text,
     triangle_areas,
     triangle_distances,
     unit_normals,
@@ -139,9 +140,9 @@ def _thin_notes(mesh: TriangleMesh) -> list[str]:
     k = int(np.where(thin, thickness, np.inf).argmin())
     share = edge[thin] / (_COARSE_EDGE * thickness[thin])
     wanted = len(mesh.vertices) + 0.5 * float((share**2 - 1.0).sum())
-    position = ", ".join(f"{1e3 * x:.0f}" for x in corner[k].mean(axis=0))
+    position = place_text(corner[k].mean(axis=0), decimals=0)
     text = (
-        f"The object is {1e3 * thickness[k]:.3g} mm thin at ({position}) mm, where the edges of its"
+        f"The object is {1e3 * thickness[k]:.3g} mm thin at {position}, where the edges of its"
         f" triangles are {1e3 * edge[k]:.3g} mm long: stretching in its plane is modelled, bending"
         f" out of it comes out too stiff. If it bends, use about {wanted:.2g} vertices (palpate"
         " mesh)."

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from palpate.arrays import fix_fields
 from palpate.errors import InputError
-from palpate.geometry import SurfacePoints
+from palpate.geometry import SurfacePoints, place_text
 from palpate.records.contact import RIGID, Contact
 from palpate.records.series import Series
 from palpate.records.support import RigidMotion
@@ -418,9 +418,8 @@ class Probing:
 
     def __repr__(self) -> str:
         force = ", ".join(f"{x:.3g}" for x in self.force)
-        point = ", ".join(f"{1e3 * x:.4g}" for x in self.contact.point)
         observed = "not measured yet" if self.displacement is None else repr(self.displacement)
-        return f"Probing {self.name!r}: ({force}) N at ({point}) mm; {observed}"
+        return f"Probing {self.name!r}: ({force}) N at {place_text(self.contact.point)}; {observed}"
 
 
 def check_rotation(

@@ -13,7 +13,6 @@ from palpate.scanning.mend import (
     prepare_surface as prepare_surface,
 )
 from palpate.scanning.plane import (
-    place_text as place_text,
     plane_from_text as plane_from_text,
     plane_text as plane_text,
 )

@@ -17,10 +17,11 @@ from palpate.geometry import (
     connected_components,
     enclosed_volume,
     half_edges,
+    place_text,
     triangle_areas,
 )
 from palpate.optional_imports import late_import
-from palpate.scanning.plane import Action, place_text
+from palpate.scanning.plane import Action
 from palpate.scanning.remesh import distances
 from palpate.shapes import Triangles, Vertices
 

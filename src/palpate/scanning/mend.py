@@ -18,6 +18,7 @@ from palpate.geometry import (
     enclosed_volume,
     half_edges,
     mesh_quality,
+    place_text,
     triangle_areas,
 )
 from palpate.optional_imports import late_import
@@ -32,7 +33,7 @@ from palpate.scanning.cleaning import (
     without_dust,
     without_walls,
 )
-from palpate.scanning.plane import Action, Plane, place_text, plane_text
+from palpate.scanning.plane import Action, Plane, plane_text
 from palpate.scanning.remesh import Deviation, deviation, distances, remeshed
 from palpate.scanning.solid import above, united, wrapped
 from palpate.shapes import Points, Triangles, Vector3, Vertices

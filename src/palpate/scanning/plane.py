@@ -110,17 +110,3 @@ class Action:
     count: int
     place: Vector3
     done: str
-
-
-def place_text(point: Vector3) -> str:
-    """Coordinates in millimetres, for a message.
-
-    Parameters
-    ----------
-    point : (3,) float [m]
-
-    Returns
-    -------
-    str                             e.g. `(1.25, 0, 40) mm`
-    """
-    return "(" + ", ".join(f"{x:.5g}" for x in np.round(1e3 * np.asarray(point), 2) + 0.0) + ") mm"

@@ -23,12 +23,13 @@ from palpate.geometry import (
     checked_mesh,
     enclosed_volume,
     half_edges,
+    place_text,
     random_points,
     triangle_areas,
     wall_thickness,
 )
 from palpate.optional_imports import late_import
-from palpate.scanning.plane import Plane, place_text
+from palpate.scanning.plane import Plane
 from palpate.shapes import Points, PointScalars, Triangles, TriangleScalars, Vertices
 
 # Ratio of edge lengths at the given points and far away, and growth of edges per distance.

@@ -20,6 +20,7 @@ from palpate.geometry import (
     bounding_diagonal,
     checked_mesh,
     mesh_quality,
+    place_text,
     triangle_areas,
     write_mesh,
 )
@@ -27,7 +28,7 @@ from palpate.progress import Progress, part_of, silent
 from palpate.records import json_text, write_text
 from palpate.scanning.fusion import fitted, fused
 from palpate.scanning.mend import PreparedSurface
-from palpate.scanning.plane import Plane, place_text
+from palpate.scanning.plane import Plane
 from palpate.scanning.poses import posed
 from palpate.scanning.remesh import distances, remeshed
 from palpate.scanning.scan_file import View

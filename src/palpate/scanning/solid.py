@@ -5,10 +5,16 @@ from typing import Any
 import numpy as np
 
 from palpate.errors import MeshError
-from palpate.geometry import TriangleMesh, bounding_diagonal, checked_mesh, enclosed_volume
+from palpate.geometry import (
+    TriangleMesh,
+    bounding_diagonal,
+    checked_mesh,
+    enclosed_volume,
+    place_text,
+)
 from palpate.optional_imports import late_import
 from palpate.scanning.cleaning import compacted, pieces
-from palpate.scanning.plane import Action, Plane, place_text
+from palpate.scanning.plane import Action, Plane
 from palpate.scanning.remesh import adapted, distances
 
 _PURPOSE = "uniting parts of a surface"

@@ -18,6 +18,7 @@ from palpate.geometry import (
     MeshQuality,
     TriangleMesh,
     bounding_diagonal,
+    place_text,
     read_mesh,
     triangle_areas,
     write_mesh,
@@ -34,7 +35,6 @@ from palpate.records import (
 from palpate.scanning import (
     PreparedSurface,
     ScannedSurface,
-    place_text,
     plane_from_text,
     prepare_surface,
     read_points,
