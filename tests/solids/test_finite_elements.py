@@ -1,5 +1,7 @@
 """Linear elasticity of tetrahedra against closed forms, another assembly and stored fields."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import skfem
@@ -45,6 +47,19 @@ def ball():
 
 def stiffness(solid, poisson):
     return stiffness_matrix(quadratic_basis(solid), hooke_moduli(SHEAR, poisson))
+
+
+def test_bodies_of_many_nodes_have_the_matrix_of_few(block):
+    # Pairs of 60 000 nodes are more than 32 bits count.
+    basis, law, others = quadratic_basis(block), hooke_moduli(SHEAR, 0.3), 60_000
+    many = SimpleNamespace(
+        basis=basis.basis,
+        dx=basis.dx,
+        N=basis.N + others,
+        element_dofs=(basis.element_dofs + others).astype(basis.element_dofs.dtype),
+    )
+    full = stiffness_matrix(many, law)[3 * others :, 3 * others :]
+    assert abs(full - stiffness_matrix(basis, law)).max() == 0.0
 
 
 def top(x):

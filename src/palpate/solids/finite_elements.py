@@ -223,7 +223,8 @@ def stiffness_matrix(basis: Any, moduli: Float[np.ndarray, "3 3 3 3 *quadrature"
     """
     slope = np.stack([shape[0].grad for shape in basis.basis]).transpose(3, 2, 0, 1)
     moduli = moduli.reshape(3, 3, 3, 3, *(moduli.shape[4:] or (1, 1)))
-    count, dofs = basis.N, basis.element_dofs.T
+    # In 64 bits: pairs of nodes are counted below.
+    count, dofs = basis.N, basis.element_dofs.T.astype(np.int64)
     block: Any = 0.0
     # Of every element, for two of its nodes and two components.
     for k, (gradient, size) in enumerate(zip(slope, basis.dx.T, strict=True)):
