@@ -188,8 +188,10 @@ def created_folder(folder: Path) -> Iterator[None]:
 
     Raises
     ------
-    RecordError                     the folder cannot be created
+    RecordError                     a file has its name; the folder cannot be created
     """
+    if folder.exists() and not folder.is_dir():
+        raise RecordError(f"{folder}: is not a folder; choose another name")
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         with write_errors(folder):

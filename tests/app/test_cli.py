@@ -54,7 +54,13 @@ def test_help_loads_no_numerics():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["check"], "requires an argument"),
+        (["check"], "SESSION is missing; see palpate check --help"),
+        (["poke", "ball", "--at", "0", "0", "--force", "0"], "--at takes 3 values, not 2; see"),
+        (
+            ["poke", "ball", "--at", "0", "0", "1", "--push", "2mm"],
+            "--force is missing; give 3 values (--push: no such option); see palpate poke --help",
+        ),
+        (["measure", "virtual", "--out", __file__], "test_cli.py: is not a folder; choose another"),
         (["check", "nowhere"], "nowhere: no such file or folder"),
         (["check", "--speed", "3", "nowhere"], "--speed"),
     ],

@@ -7,7 +7,16 @@ from math import isfinite
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
-from cyclopts import App, CycloptsError, CycloptsPanel, Group, Parameter, Token, convert
+from cyclopts import (
+    App,
+    CycloptsError,
+    CycloptsPanel,
+    Group,
+    MissingArgumentError,
+    Parameter,
+    Token,
+    convert,
+)
 from rich.console import Console
 
 from palpate.app.process import BAD_INPUT, Output, output_as, versions
@@ -313,6 +322,8 @@ def _call(words: list[str]) -> int:
         outcome = make_app()(
             words, exit_on_error=False, print_error=False, result_action="return_value"
         )
+    except MissingArgumentError as error:
+        raise InputError(_missing_text(error)) from None
     except CycloptsError as error:
         # What our own readers of options say needs no frame.
         if isinstance(error.__cause__, InputError):
@@ -325,3 +336,17 @@ def _call(words: list[str]) -> int:
             raise error.__context__ from None
         raise
     return outcome if isinstance(outcome, int) else 0
+
+
+def _missing_text(error: MissingArgumentError) -> str:
+    """What a command still needs, and which of its words it does not know."""
+    argument: Any = error.argument
+    name, count = error.keyword or argument.name, argument.token_count()[0]
+    given = len(error.tokens_so_far) % max(count, 1)
+    if given:
+        text = f"{name} takes {count} values, not {given}"
+    else:
+        text = f"{name} is missing" + (f"; give {count} values" if count > 1 else "")
+        unknown = [word for word in error.unused_tokens or () if word.startswith("--")]
+        text += f" ({', '.join(unknown)}: no such option)" if unknown else ""
+    return f"{text}; see palpate {' '.join(error.command_chain or ())} --help"
