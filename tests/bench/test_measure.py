@@ -14,6 +14,7 @@ from palpate.bench import DeviceError, measure, wanted_precision
 from palpate.bench.live_session import LiveSession
 from palpate.bench.measure import Wanted
 from palpate.errors import InputError
+from palpate.pipeline import first_place
 from palpate.records import Status, read_session
 
 
@@ -209,13 +210,59 @@ def test_what_is_not_in_the_bench_is_asked_for(tmp_path):
     assert measure(bench, script, session, dry_run=True) is None
     assert script.told[0] == "camera 'c1': it does not open"
     radius = "Radius of the flat round end, in mm"
-    unit, side = "ball.stl is 80 x 79.8 x 40; in which unit?", "Which side is held?"
-    assert script.asked == ["Go on?", unit, side, "What presses?", radius, radius]
+    unit, side = "ball.stl is 80 x 79.8 x 40; in which unit?", "Which side does it stand on"
+    way = "How does it stand there?"
+    assert script.asked == ["Go on?", unit, f"{side}, or is it held at?", way, "What presses?",
+                            radius, radius]  # fmt: skip
     assert any('"big" is no radius' in text for text in script.told)
     # The flat side of the half ball is a circle of 40 mm, of triangles with all corners at z = 0.
     mesh = small_config().specimen.mesh
     low = (mesh.vertices[mesh.triangles][:, :, 2] < 1e-9).all(axis=1)
     assert len((session / "support_triangles.txt").read_text().split()) == low.sum()
+
+
+@pytest.mark.parametrize(
+    ("way", "keys", "errors"),
+    [
+        ("loose", {"motion": "free"}, None),
+        ("glued or taped", {}, None),
+        ("on a slippery plate", {"directions": [[0.0, 0.0, -1.0]]}, None),
+        ("on a soft pad", {}, {"support_compliance": "400 um/kPa"}),
+    ],
+)
+def test_how_the_object_stands_is_in_the_session(tmp_path, monkeypatch, way, keys, errors):
+    """And on a plate that is slippery it is pressed straight down."""
+    bench, folder, sessions = hand_bench(tmp_path), tmp_path / "session", []
+    folder.mkdir()
+    begun = LiveSession.__init__
+
+    def kept(self, *arguments, **options):
+        begun(self, *arguments, **options)
+        sessions.append(self)
+
+    monkeypatch.setattr(LiveSession, "__init__", kept)
+    script = Script(("How does it stand", way))
+    # A mark beside the flat side: a plate that is slippery holds one.
+    face = script.face
+    marked = iter([way == "on a slippery plate"])
+
+    def careless(mesh, faces, ways):
+        held, chosen = face(mesh, faces, ways)
+        if next(marked, False):
+            script.answers.append(("How does it stand", way))
+            return np.arange(len(mesh.triangles)), chosen
+        return held, chosen
+
+    script.face = careless
+    measure(bench, script, folder, dry_run=True)
+    (session,) = sessions
+    support = {"triangles": "support_triangles.txt", **keys}
+    assert session.content["support"] == support
+    assert session.content.get("errors") == errors
+    assert script.asked.count("How does it stand there?") == (1 if "directions" not in keys else 2)
+    _, inward = first_place(session.bare, radius=session.contact_radius)
+    # At most 5 % of the force may be along what nothing holds; the cameras face another place more.
+    assert (np.linalg.norm(inward[:2]) < 0.06) == ("directions" in keys)
 
 
 @pytest.mark.parametrize("file", ["rig.toml", "mesh.ply"])

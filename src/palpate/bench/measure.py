@@ -7,7 +7,7 @@ in the browser answers.
 
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -34,8 +34,8 @@ from palpate.bench.questions import (
 )
 from palpate.bench.turning import SCANNED, scan_object
 from palpate.errors import InputError, PalpateError
-from palpate.geometry import TriangleMesh, checked_mesh
-from palpate.pipeline import NextProbings, first_place
+from palpate.geometry import TriangleMesh, checked_mesh, unit_normals
+from palpate.pipeline import FittedBody, NextProbings, first_place
 from palpate.recording import (
     default_radius,
     flat_sides,
@@ -46,6 +46,7 @@ from palpate.recording import (
 from palpate.records import (
     BIASED,
     FILE_LENGTH_UNITS,
+    FREE,
     MODULUS_UNITS,
     Constant,
     Estimate,
@@ -56,7 +57,7 @@ from palpate.records import (
     read_toml,
     verdict_text,
 )
-from palpate.shapes import Vector3
+from palpate.shapes import Indices, Vector3
 
 _CONSTANTS = {"E": "young_modulus", "G": "shear_modulus", "nu": "poisson_ratio"}
 _WANTED = re.compile(r"(E|G|nu)\s+(\d+\.?\d*|\.\d+)\s*(\S*)")
@@ -68,10 +69,19 @@ _RIG = "rig.toml"
 # The way of an arm to its first push; what a person can say to a push that failed.
 _DRAWING = "first_push.png"
 AGAIN, ELSEWHERE, STOP = "again", "elsewhere", "stop"
+# How an object stands: keys of its support (a slippery plate: with the normal of the side), and of
+# the errors. What stands loose may tilt and shift a little under a push, which is estimated, and is
+# zero where it is glued after all. The softest pads, a centimetre of foam of 25 kPa, give as much.
+LOOSE, GLUED, SLIPPERY, SOFT = _WAYS = (
+    "loose", "glued or taped", "on a slippery plate", "on a soft pad"
+)  # fmt: skip
+_SOFTEST_PAD = "400 um/kPa"
 # Tools that need no more than a radius, in a person's words.
 _TOOLS = {"ball": "sphere", "flat round end": "flat"}
 # What a session of the object at another place does not take over, and what is asked before one.
 _OF_ONE_SESSION = ("format", "rig", "probe")
+# Cosine between normals of triangles of one flat side.
+_ONE_SIDE = 0.999
 _IS_BACK = "Is it back where it was? If not, another session begins, with the object where it is"
 _Places = list[tuple[Vector3, Vector3]]
 
@@ -197,6 +207,8 @@ def measure(
             except InputError as error:
                 session.withdraw()
                 questions.tell(f"This push does not count: {error}")
+                if questions.choose("Push again?", [AGAIN, STOP]) == STOP:
+                    break
     if further is not None:
         again, folder = further
         return measure(again, questions, folder, until=until, pushes=pushes, cache=cache)
@@ -335,11 +347,30 @@ def _asked_object(bench: Bench, questions: Questions, folder: Path) -> dict[str,
     for side in flat_sides(mesh):
         on_it = (mesh.vertices - side.point) @ side.normal > -side.tolerance
         faces[side.name] = np.flatnonzero(on_it[mesh.triangles].all(axis=1))
-    held = questions.face("Which side is held?", mesh, faces)
+    held, stands = _asked_support(questions, mesh, faces)
     put((there / name).read_bytes(), folder / Path(name).name)
     put("".join(f"{row}\n" for row in held).encode(), folder / _HELD_FILE)
-    support = {"triangles": _HELD_FILE}
-    return {"object": {"mesh": Path(name).name, "length_unit": unit}, "support": support}
+    return {"object": {"mesh": Path(name).name, "length_unit": unit}, **stands}
+
+
+def _asked_support(
+    questions: Questions, mesh: TriangleMesh, faces: Mapping[str, Indices]
+) -> tuple[Indices, dict[str, Any]]:
+    """Triangles that are held; tables support and, where that may give, errors."""
+    while True:
+        held, way = questions.face(mesh, faces, _WAYS)
+        support: dict[str, Any] = {"triangles": _HELD_FILE}
+        if way == SOFT:
+            return held, {"support": support, "errors": {"support_compliance": _SOFTEST_PAD}}
+        if way == LOOSE:
+            support["motion"] = FREE
+        if way == SLIPPERY:
+            normals = unit_normals(mesh)[held]
+            if (normals @ normals[0]).min() < _ONE_SIDE:
+                questions.tell("A slippery plate holds one flat side: mark that alone")
+                continue
+            support["directions"] = [normals[0].tolist()]
+        return held, {"support": support}
 
 
 def _in_metres(surface: TriangleMesh, unit: str) -> TriangleMesh:
@@ -442,15 +473,32 @@ def _judged(
             questions.tell(note)
     questions.judged(estimate)
     try:
+        return estimate, _further(bench, session, questions, measured, result, until)
+    except InputError as error:
+        # This push counts all the same.
+        questions.tell(f"That was the last push: {error}")
+        return estimate, []
+
+
+def _further(
+    bench: Bench,
+    session: LiveSession,
+    questions: Questions,
+    measured: Session,
+    fitted: FittedBody,
+    until: Wanted | None,
+) -> _Places:
+    """The places for the next push, best first, and how many it takes."""
+    try:
         with questions.working() as progress:
-            plan = session.plan(measured, result, progress=progress)
+            plan = session.plan(measured, fitted, progress=progress)
     except PalpateError as error:
         questions.tell(f"Where to push next is not clear yet: {error}")
         bare = replace(session.bare, probings=measured.probings, steps=())
-        return estimate, [first_place(bare, radius=session.contact_radius)]
+        return [first_place(bare, radius=session.contact_radius)]
     if until is not None:
-        questions.tell(_still_needed(estimate, plan, until))
-    return estimate, _allowed(bench, plan)
+        questions.tell(_still_needed(fitted.estimate, plan, until))
+    return _allowed(bench, plan)
 
 
 def _still_needed(estimate: Estimate, plan: NextProbings, until: Wanted) -> str:
