@@ -1,6 +1,7 @@
 """The whole way with the virtual bench, its pictures drawn: a session whole after each push."""
 
 import shutil
+import sys
 from dataclasses import replace
 
 import cv2
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from bench.drawn_world import Script, drawn_bench, hand_bench, small_config
 from fault_injection import all_states, in_child
+from scipy.spatial.transform import Rotation
 
 import palpate
 from palpate.bench import DeviceError, measure, wanted_precision
@@ -137,6 +139,30 @@ def test_an_object_that_was_moved_is_noticed(tmp_path):
     assert "the object has moved by 1" in said
     assert script.told[-2].startswith("Its rig is of the old place")
     assert len(read_session(tmp_path).probings) == 1
+
+
+@pytest.mark.slow
+def test_an_object_that_stands_loose_may_tilt_under_a_push(tmp_path):
+    """By 0.1 degrees, and back: said to be loose, E is that of the body, and said to be glued it
+    is not."""
+    bench = drawn_bench()
+    world = bench.cameras[0]._world
+    draw, tilt = world.body.draw, Rotation.from_rotvec([0.0, 0.002, 0.0]).as_matrix()
+
+    def tilted(vertices, rod):
+        return draw(vertices if rod is None else vertices @ tilt.T, rod)
+
+    object.__setattr__(world.body, "draw", tilted)
+    support = bench.head["support"]
+    loose = replace(bench, head={**bench.head, "support": {**support, "motion": "free"}})
+    estimate = measure(loose, Script(), tmp_path, pushes=1)
+    material = small_config().material
+    # As where nothing tilts: elements of 12 mm make the body stiffer.
+    assert estimate.young_modulus.value == pytest.approx(material.young_modulus, rel=0.1)
+    text = (tmp_path / "session.toml").read_text()
+    (tmp_path / "session.toml").write_text(text.replace('motion = "free"', 'motion = "fixed"'))
+    glued = palpate.fit(tmp_path).estimate
+    assert abs(glued.young_modulus.value / material.young_modulus - 1.0) > 0.2
 
 
 @pytest.mark.slow
@@ -309,6 +335,15 @@ def test_tables_are_refused_before_the_first_push(tmp_path, table, words):
 )
 def test_wanted_precision(text, wanted):
     assert wanted_precision(text) == wanted
+
+
+@pytest.mark.parametrize(
+    ("text", "percent"), [("E 3 %", 0.154), ("nu 0.04", 0.205), ("E 1 %", 0.1), ("G 2 kPa", 0.1)]
+)
+def test_lengths_are_as_precise_as_the_constants_need(text, percent):
+    """Twice their error makes the wanted interval 2 % wider; what the gauge needs is enough."""
+    lengths = sys.modules[measure.__module__]._wanted_lengths(wanted_precision(text))
+    assert 100.0 * lengths == pytest.approx(percent, rel=5e-3)
 
 
 @pytest.mark.parametrize("text", ["E", "E 3 mm", "E 0 %", "F 3 %", "nu 2 kPa"])

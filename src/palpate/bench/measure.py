@@ -18,7 +18,7 @@ import numpy as np
 
 from palpate.bench.arms import check_push
 from palpate.bench.bench_file import Bench, put
-from palpate.bench.calibrating import CALIBRATED, calibrate_live, place_object
+from palpate.bench.calibrating import CALIBRATED, PRECISE, calibrate_live, place_object
 from palpate.bench.devices import DeviceError
 from palpate.bench.live_session import LiveSession
 from palpate.bench.page_parts import montage
@@ -47,6 +47,7 @@ from palpate.records import (
     BIASED,
     FILE_LENGTH_UNITS,
     FREE,
+    HALF_95,
     MODULUS_UNITS,
     Constant,
     Estimate,
@@ -171,7 +172,10 @@ def measure(
         questions.watch([camera.name for camera in bench.cameras], lambda: grabbed(bench)[1])
         questions.step(CALIBRATION)
         if bench.rig is None and not any((folder / x).exists() for x in (_RIG, CALIBRATED)):
-            _insisting(bench, questions, lambda: calibrate_live(bench, questions, folder))
+            lengths = _wanted_lengths(until)
+            _insisting(
+                bench, questions, lambda: calibrate_live(bench, questions, folder, wanted=lengths)
+            )
         questions.step(OBJECT)
         session = _begun(bench, questions, folder, cache)
         bench = replace(bench, rig=session.rig)
@@ -215,6 +219,15 @@ def measure(
     if estimate is not None:
         questions.tell(f"Session in {folder}; a report: palpate fit {folder}")
     return estimate
+
+
+def _wanted_lengths(until: Wanted | None) -> float:
+    """Relative standard deviation to which lengths are to be known: a modulus goes with their
+    square, and its interval, or that of nu, may become 2 % wider by them."""
+    if until is None or not (until.relative or until.constant == "poisson_ratio"):
+        return PRECISE
+    sigma = until.half / HALF_95
+    return max(PRECISE, 0.5 * np.sqrt(1.02**2 - 1.0) * sigma)
 
 
 class _MovedAway(Exception):
