@@ -4,7 +4,8 @@ MJPEG on loopback, and a gauge on a pty.
     python -m bench.played_bench FOLDER
 
 writes bench.toml, rig and mesh into a folder, says "ready", and obeys on its standard input:
-"aim X Y Z" [mm] solves a push at a place and says "aimed F" with its force [N], "press" presses there, "lift" lifts off.
+"aim X Y Z" [mm] solves a push at a place and says "aimed F" with its force [N], "press" presses
+there, "lift" lifts off.
 """
 
 import os

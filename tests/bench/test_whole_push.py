@@ -98,16 +98,16 @@ def pressing(person, player):
 
     near = r"Next push: near \[([^\]]+)\] mm; then Enter"
     patterns = [pattern for pattern, _ in ANSWERS]
+    force = 0.0
     while True:
         k, match = person.until(*patterns, near, "Press straight in near", "Got it: lift off")
         if k is None:
-            return float(force)
+            return force
         if k < len(ANSWERS):
             person.answer(ANSWERS[k][1])
         elif k == len(ANSWERS):
             say("aim " + match[1].replace(",", " "))
-            word, force = player.stdout.readline().split()
-            assert word == "aimed"
+            force = float(player.stdout.readline().removeprefix("aimed "))
             person.answer("")
         else:
             say("press" if k == len(ANSWERS) + 1 else "lift")
