@@ -1,7 +1,6 @@
 """The whole way with the virtual bench, its pictures drawn: a session whole after each push."""
 
 import shutil
-import sys
 from dataclasses import replace
 
 import cv2
@@ -14,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import palpate
 from palpate.bench import DeviceError, measure, wanted_precision
 from palpate.bench.live_session import LiveSession
-from palpate.bench.measure import Wanted
+from palpate.bench.wanted import Wanted, wanted_lengths
 from palpate.errors import InputError
 from palpate.pipeline import first_place
 from palpate.records import Status, read_session
@@ -342,8 +341,7 @@ def test_wanted_precision(text, wanted):
 )
 def test_lengths_are_as_precise_as_the_constants_need(text, percent):
     """Twice their error makes the wanted interval 2 % wider; what the gauge needs is enough."""
-    lengths = sys.modules[measure.__module__]._wanted_lengths(wanted_precision(text))
-    assert 100.0 * lengths == pytest.approx(percent, rel=5e-3)
+    assert 100.0 * wanted_lengths(wanted_precision(text)) == pytest.approx(percent, rel=5e-3)
 
 
 @pytest.mark.parametrize("text", ["E", "E 3 mm", "E 0 %", "F 3 %", "nu 2 kPa"])

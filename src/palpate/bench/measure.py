@@ -5,11 +5,10 @@ Whatever goes wrong is said, with a way on; nothing here knows whether a person,
 in the browser answers.
 """
 
-import re
 import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 
 from palpate.bench.arms import check_push
 from palpate.bench.bench_file import Bench, put
-from palpate.bench.calibrating import CALIBRATED, PRECISE, calibrate_live, place_object
+from palpate.bench.calibrating import CALIBRATED, calibrate_live, place_object
 from palpate.bench.devices import DeviceError
 from palpate.bench.live_session import LiveSession
 from palpate.bench.page_parts import montage
@@ -33,6 +32,7 @@ from palpate.bench.questions import (
     Stopped,
 )
 from palpate.bench.turning import SCANNED, scan_object
+from palpate.bench.wanted import Wanted, wanted_lengths
 from palpate.errors import InputError, PalpateError
 from palpate.geometry import TriangleMesh, checked_mesh, unit_normals
 from palpate.pipeline import FittedBody, NextProbings, first_place
@@ -47,9 +47,6 @@ from palpate.records import (
     BIASED,
     FILE_LENGTH_UNITS,
     FREE,
-    HALF_95,
-    MODULUS_UNITS,
-    Constant,
     Estimate,
     Session,
     Status,
@@ -60,8 +57,6 @@ from palpate.records import (
 )
 from palpate.shapes import Indices, Vector3
 
-_CONSTANTS = {"E": "young_modulus", "G": "shear_modulus", "nu": "poisson_ratio"}
-_WANTED = re.compile(r"(E|G|nu)\s+(\d+\.?\d*|\.\d+)\s*(\S*)")
 # A scale under the object reads a push whose direction has at least this component along its own.
 _FROM_ABOVE = 0.7
 # Triangles that a person says are held, in the session's folder.
@@ -85,49 +80,6 @@ _OF_ONE_SESSION = ("format", "rig", "probe")
 _ONE_SIDE = 0.999
 _IS_BACK = "Is it back where it was? If not, another session begins, with the object where it is"
 _Places = list[tuple[Vector3, Vector3]]
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """A constant, and half the 95 % interval that it is to have: relative, or in SI units."""
-
-    constant: str
-    half: float
-    relative: bool
-
-    def share(self, estimate: Estimate) -> float:
-        """Half the interval over the wanted one; 1 or less: reached; infinite: not determined."""
-        if not estimate.identifiable[self.constant]:
-            return np.inf
-        constant: Constant = getattr(estimate, self.constant)
-        half = 0.5 * (constant.ci95[1] - constant.ci95[0])
-        share = half / (self.half * (constant.value if self.relative else 1.0))
-        return float(share) if np.isfinite(share) else np.inf
-
-
-def wanted_precision(text: str) -> Wanted:
-    """What `--until` says: "E 3 %", "nu 0.02", "G 2 kPa".
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    Wanted
-
-    Raises
-    ------
-    InputError                      something else
-    """
-    match = _WANTED.fullmatch(text.strip())
-    units = {"%": 0.01, **({"": 1.0} if match and match[1] == "nu" else MODULUS_UNITS)}
-    if match is None or match[3] not in units or not float(match[2]) > 0.0:
-        raise InputError(
-            f'--until is "{text}"; must be a constant and half the width of its 95 % interval: "E 3'
-            ' %", "G 2 kPa", "nu 0.02"'
-        )
-    return Wanted(_CONSTANTS[match[1]], float(match[2]) * units[match[3]], match[3] == "%")
 
 
 def measure(
@@ -170,12 +122,7 @@ def measure(
         questions.step(DEVICES)
         _start(bench, questions)
         questions.watch([camera.name for camera in bench.cameras], lambda: grabbed(bench)[1])
-        questions.step(CALIBRATION)
-        if bench.rig is None and not any((folder / x).exists() for x in (_RIG, CALIBRATED)):
-            lengths = _wanted_lengths(until)
-            _insisting(
-                bench, questions, lambda: calibrate_live(bench, questions, folder, wanted=lengths)
-            )
+        _calibrate(bench, questions, folder, wanted_lengths(until))
         questions.step(OBJECT)
         session = _begun(bench, questions, folder, cache)
         bench = replace(bench, rig=session.rig)
@@ -192,7 +139,7 @@ def measure(
         if session.count:
             estimate, places = judge(session.measured())
         go = True
-        if bench.arm is not None and bench.arm.asks:
+        if bench.arm is not None and bench.arm.asks and places:
             _rehearse(bench, questions, session, *places[0])
             go = questions.choose("Is that way free, and shall the arm go?", ["yes", "no"]) == "yes"
         while go and not _enough(session, estimate, until, pushes, questions):
@@ -221,13 +168,13 @@ def measure(
     return estimate
 
 
-def _wanted_lengths(until: Wanted | None) -> float:
-    """Relative standard deviation to which lengths are to be known: a modulus goes with their
-    square, and its interval, or that of nu, may become 2 % wider by them."""
-    if until is None or not (until.relative or until.constant == "poisson_ratio"):
-        return PRECISE
-    sigma = until.half / HALF_95
-    return max(PRECISE, 0.5 * np.sqrt(1.02**2 - 1.0) * sigma)
+def _calibrate(bench: Bench, questions: Questions, folder: Path, wanted: float) -> None:
+    """Calibrate cameras that are not, until lengths are known as well as wanted."""
+    questions.step(CALIBRATION)
+    if bench.rig is None and not any((folder / x).exists() for x in (_RIG, CALIBRATED)):
+        _insisting(
+            bench, questions, lambda: calibrate_live(bench, questions, folder, wanted=wanted)
+        )
 
 
 class _MovedAway(Exception):
