@@ -165,6 +165,19 @@ def test_an_object_that_stands_loose_may_tilt_under_a_push(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_push_counts_though_no_place_is_left(tmp_path):
+    """A half ball on rollers can be pressed at its top alone: elsewhere it would slide away."""
+    bench = drawn_bench()
+    support = {**bench.head["support"], "directions": [[0.0, 0.0, 1.0]]}
+    bench, script = replace(bench, head={**bench.head, "support": support}), Script()
+    estimate = measure(bench, script, tmp_path, pushes=3)
+    assert len(estimate.probes) == len(read_session(tmp_path).probings) == 1
+    (said,) = [text for text in script.told if text.startswith("That was the last push: ")]
+    assert "on rollers one where it presses straight against them" in said
+    assert script.asked == []
+
+
+@pytest.mark.slow
 def test_a_push_that_is_too_light_does_not_count(tmp_path):
     bench = drawn_bench()
     object.__setattr__(bench, "push_force", 0.015)
