@@ -57,7 +57,7 @@ def test_the_whole_way_by_hand(browser, bench, tmp_path):
             tab.get_by_text("ball.stl is 80 x 79.8 x 40; in which unit?").wait_for(timeout=PATIENCE)
             tab.get_by_text("focus good").first.wait_for(timeout=PATIENCE)
             decide(tab, "mm")
-            decide(tab, "This is held")
+            decide(tab, "loose")
             decide(tab, "ball")
             decide(tab, "OK")
             decide(tab, "Ready")
@@ -74,7 +74,7 @@ def test_the_whole_way_by_hand(browser, bench, tmp_path):
         finally:
             page._stopped.set()
             page.close()
-    assert decided == ["mm", "This is held", "ball", "OK", "Ready", "Ready"]
+    assert decided == ["mm", "loose", "ball", "OK", "Ready", "Ready"]
     assert len(estimate.probes) == 2
     # The flat side that was marked is that of the half ball.
     written = read_session(session)

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from bench.drawn_world import Script, drawn_bench, hand_bench, small_config
 from fault_injection import all_states, in_child
+from scipy.spatial.transform import Rotation
 
 import palpate
 from palpate.bench import DeviceError, measure, wanted_precision
 from palpate.bench.live_session import LiveSession
-from palpate.bench.measure import Wanted
+from palpate.bench.wanted import Wanted, wanted_lengths
 from palpate.errors import InputError
+from palpate.pipeline import first_place
 from palpate.records import Status, read_session
 
 
@@ -139,6 +141,43 @@ def test_an_object_that_was_moved_is_noticed(tmp_path):
 
 
 @pytest.mark.slow
+def test_an_object_that_stands_loose_may_tilt_under_a_push(tmp_path):
+    """By 0.1 degrees, and back: said to be loose, E is that of the body, and said to be glued it
+    is not."""
+    bench = drawn_bench()
+    world = bench.cameras[0]._world
+    draw, tilt = world.body.draw, Rotation.from_rotvec([0.0, 0.002, 0.0]).as_matrix()
+
+    def tilted(vertices, rod):
+        return draw(vertices if rod is None else vertices @ tilt.T, rod)
+
+    object.__setattr__(world.body, "draw", tilted)
+    support = bench.head["support"]
+    loose = replace(bench, head={**bench.head, "support": {**support, "motion": "free"}})
+    estimate = measure(loose, Script(), tmp_path, pushes=1)
+    material = small_config().material
+    # As where nothing tilts: elements of 12 mm make the body stiffer.
+    assert estimate.young_modulus.value == pytest.approx(material.young_modulus, rel=0.1)
+    text = (tmp_path / "session.toml").read_text()
+    (tmp_path / "session.toml").write_text(text.replace('motion = "free"', 'motion = "fixed"'))
+    glued = palpate.fit(tmp_path).estimate
+    assert abs(glued.young_modulus.value / material.young_modulus - 1.0) > 0.2
+
+
+@pytest.mark.slow
+def test_a_push_counts_though_no_place_is_left(tmp_path):
+    """A half ball on rollers can be pressed at its top alone: elsewhere it would slide away."""
+    bench = drawn_bench()
+    support = {**bench.head["support"], "directions": [[0.0, 0.0, 1.0]]}
+    bench, script = replace(bench, head={**bench.head, "support": support}), Script()
+    estimate = measure(bench, script, tmp_path, pushes=3)
+    assert len(estimate.probes) == len(read_session(tmp_path).probings) == 1
+    (said,) = [text for text in script.told if text.startswith("That was the last push: ")]
+    assert "on rollers one where it presses straight against them" in said
+    assert script.asked == []
+
+
+@pytest.mark.slow
 def test_a_push_that_is_too_light_does_not_count(tmp_path):
     bench = drawn_bench()
     object.__setattr__(bench, "push_force", 0.015)
@@ -209,13 +248,59 @@ def test_what_is_not_in_the_bench_is_asked_for(tmp_path):
     assert measure(bench, script, session, dry_run=True) is None
     assert script.told[0] == "camera 'c1': it does not open"
     radius = "Radius of the flat round end, in mm"
-    unit, side = "ball.stl is 80 x 79.8 x 40; in which unit?", "Which side is held?"
-    assert script.asked == ["Go on?", unit, side, "What presses?", radius, radius]
+    unit, side = "ball.stl is 80 x 79.8 x 40; in which unit?", "Which side does it stand on"
+    way = "How does it stand there?"
+    assert script.asked == ["Go on?", unit, f"{side}, or is it held at?", way, "What presses?",
+                            radius, radius]  # fmt: skip
     assert any('"big" is no radius' in text for text in script.told)
     # The flat side of the half ball is a circle of 40 mm, of triangles with all corners at z = 0.
     mesh = small_config().specimen.mesh
     low = (mesh.vertices[mesh.triangles][:, :, 2] < 1e-9).all(axis=1)
     assert len((session / "support_triangles.txt").read_text().split()) == low.sum()
+
+
+@pytest.mark.parametrize(
+    ("way", "keys", "errors"),
+    [
+        ("loose", {"motion": "free"}, None),
+        ("glued or taped", {}, None),
+        ("on a slippery plate", {"directions": [[0.0, 0.0, -1.0]]}, None),
+        ("on a soft pad", {}, {"support_compliance": "400 um/kPa"}),
+    ],
+)
+def test_how_the_object_stands_is_in_the_session(tmp_path, monkeypatch, way, keys, errors):
+    """And on a plate that is slippery it is pressed straight down."""
+    bench, folder, sessions = hand_bench(tmp_path), tmp_path / "session", []
+    folder.mkdir()
+    begun = LiveSession.__init__
+
+    def kept(self, *arguments, **options):
+        begun(self, *arguments, **options)
+        sessions.append(self)
+
+    monkeypatch.setattr(LiveSession, "__init__", kept)
+    script = Script(("How does it stand", way))
+    # A mark beside the flat side: a plate that is slippery holds one.
+    face = script.face
+    marked = iter([way == "on a slippery plate"])
+
+    def careless(mesh, faces, ways):
+        held, chosen = face(mesh, faces, ways)
+        if next(marked, False):
+            script.answers.append(("How does it stand", way))
+            return np.arange(len(mesh.triangles)), chosen
+        return held, chosen
+
+    script.face = careless
+    measure(bench, script, folder, dry_run=True)
+    (session,) = sessions
+    support = {"triangles": "support_triangles.txt", **keys}
+    assert session.content["support"] == support
+    assert session.content.get("errors") == errors
+    assert script.asked.count("How does it stand there?") == (1 if "directions" not in keys else 2)
+    _, inward = first_place(session.bare, radius=session.contact_radius)
+    # At most 5 % of the force may be along what nothing holds; the cameras face another place more.
+    assert (np.linalg.norm(inward[:2]) < 0.06) == ("directions" in keys)
 
 
 @pytest.mark.parametrize("file", ["rig.toml", "mesh.ply"])
@@ -262,6 +347,14 @@ def test_tables_are_refused_before_the_first_push(tmp_path, table, words):
 )
 def test_wanted_precision(text, wanted):
     assert wanted_precision(text) == wanted
+
+
+@pytest.mark.parametrize(
+    ("text", "percent"), [("E 3 %", 0.154), ("nu 0.04", 0.205), ("E 1 %", 0.1), ("G 2 kPa", 0.1)]
+)
+def test_lengths_are_as_precise_as_the_constants_need(text, percent):
+    """Twice their error makes the wanted interval 2 % wider; what the gauge needs is enough."""
+    assert 100.0 * wanted_lengths(wanted_precision(text)) == pytest.approx(percent, rel=5e-3)
 
 
 @pytest.mark.parametrize("text", ["E", "E 3 mm", "E 0 %", "F 3 %", "nu 2 kPa"])

@@ -139,13 +139,15 @@ def test_a_click_says_what_is_held(page, asking):
     }
 
     def asked(*clicks):
-        answer = asking(page.face, "Which side?", mesh, {"z-": sides["z-"]})
+        answer = asking(page.face, mesh, {"z-": sides["z-"]}, ["loose", "glued"])
         until(lambda: page._clicked is not None)
         for name, more in clicks:
             event = SimpleNamespace(ray_origin=ray[name][0], ray_direction=ray[name][1])
             page._click(event, more=more)
-        page.gui.open_button("This is held").click()
-        return answer.result().tolist()
+        page.gui.open_button("glued").click()
+        held, way = answer.result()
+        assert way == "glued"
+        return held.tolist()
 
     assert asked() == sides["z-"].tolist()
     assert asked(("z+", False)) == sides["z+"].tolist()
@@ -153,14 +155,14 @@ def test_a_click_says_what_is_held(page, asking):
 
 
 def test_a_curve_needs_a_click(page, asking):
-    answer = asking(page.face, "Which side?", box(), {})
-    page.gui.open_button("This is held").click()
+    answer = asking(page.face, box(), {}, ["loose"])
+    page.gui.open_button("loose").click()
     until(lambda: "Nothing is marked yet" in page._log.content)
     page._click(
         SimpleNamespace(ray_origin=[500.0, 500.0, 9e3], ray_direction=[0.0, 0.0, -1.0]), more=True
     )
-    page.gui.open_button("This is held").click()
-    assert len(answer.result()) == 2
+    page.gui.open_button("loose").click()
+    assert len(answer.result()[0]) == 2
 
 
 def estimate(count, *, known=True):

@@ -7,8 +7,7 @@ Gives      : a session's folder that is whole after each push, and its `Estimate
 Depends on : `viewer`, `figures`, `pipeline`, `calibration`, `recording`,
              `scanning`, `lab`, `solids`, `vision`, `records`, `geometry`.
 Read first : `devices.py`, `questions.py`, `measure.py`, then `pushing.py`, `calibrating.py`,
-             `turning.py`,
-             `page.py`.
+             `turning.py`, `page.py`.
 """
 
 from palpate.bench.bench_file import (
@@ -22,11 +21,8 @@ from palpate.bench.devices import (
     DeviceError as DeviceError,
     ForceSource as ForceSource,
 )
-from palpate.bench.measure import (
-    Wanted as Wanted,
-    measure as measure,
-    wanted_precision as wanted_precision,
-)
+from palpate.bench.measure import measure as measure
 from palpate.bench.page import Page as Page
 from palpate.bench.questions import Questions as Questions
 from palpate.bench.virtual import DrawnBody as DrawnBody
+from palpate.bench.wanted import Wanted as Wanted, wanted_precision as wanted_precision

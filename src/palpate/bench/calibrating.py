@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from palpate.bench.bench_file import Bench, put, read_board
 from palpate.bench.pushing import grabbed, write_picture
-from palpate.bench.questions import Pictures, Questions
+from palpate.bench.questions import Pictures, Pose, Questions
 from palpate.bench.turning import SCANNED, TURNS
 from palpate.calibration import (
     TARGET_KINDS,
@@ -30,7 +30,7 @@ from palpate.calibration import (
     eight_bits,
     find_pictures,
     gathered,
-    length_sigma,
+    known_rig,
     timing_note,
     view_object,
     without_repeats,
@@ -48,7 +48,7 @@ from palpate.records import (
     read_rig_covariance,
     write_rig,
 )
-from palpate.vision import picture_path, read_grey
+from palpate.vision import picture_path, read_grey, space_strains
 
 CALIBRATED = "calibration"
 _BOARDS, _TABLE = "boards", "table"
@@ -57,9 +57,14 @@ _BOARDS, _TABLE = "boards", "table"
 _STILL, _LONG, _NEWS = 0.5, 0.5, 0.05
 # With fewer marks a picture says nothing.
 _MARKS = 8
-# Places from which on the cameras are calibrated, and from which on all that counts is how well
-# lengths are known: to this standard deviation, relative. It is squared in a modulus.
-_FEWEST, _MANY, _PRECISE = 6, 30, 1e-3
+# Places from which on the covariance is trusted: of three, lengths were off by three times as much.
+_FEWEST = 4
+# Relative standard deviation to which lengths on the object are to be known, whatever is wanted of
+# the constants: squared in E it is 0.2 %, which widens the interval of a gauge's gain, 1 %, by 2 %.
+PRECISE = 1e-3
+# Marks of the board on the table, and as many so high above it, over the board's extent, are where
+# lengths are to be known. What is said of them is that of the worst of so many directions.
+_HEIGHT, _DIRECTIONS = 0.5, 200
 _USUAL = {"charuco": "9 7 20mm 15mm", "aprilgrid": "6 6 22mm 6.6mm"}
 _Seen = tuple[Sighting, ...]
 
@@ -127,7 +132,9 @@ class _Places:
         self.pictures.append((camera, instant, path, [self.board.find(picture)]))
 
 
-def calibrate_live(bench: Bench, questions: Questions, folder: Path) -> None:
+def calibrate_live(
+    bench: Bench, questions: Questions, folder: Path, *, wanted: float = PRECISE
+) -> None:
     """Calibrate the cameras with a board that a person holds, into `calibration` of a folder.
 
     Parameters
@@ -135,6 +142,8 @@ def calibrate_live(bench: Bench, questions: Questions, folder: Path) -> None:
     bench : Bench                   started
     questions : Questions
     folder : Path                   of the session
+    wanted : float [-]              relative standard deviation to which lengths on an object where
+                                    the board lay are to be known
 
     Raises
     ------
@@ -146,7 +155,7 @@ def calibrate_live(bench: Bench, questions: Questions, folder: Path) -> None:
         if not places.has_table:
             questions.wait("Lay the board where the object will stand, in view of all cameras")
         places.add(_still_pictures(bench, questions, places))
-        calibration = _judged(places, questions)
+        calibration = _calibrated(places, questions)
         if calibration is None:
             continue
         if _TABLE not in calibration.sightings.views:
@@ -154,6 +163,8 @@ def calibrate_live(bench: Bench, questions: Questions, folder: Path) -> None:
             places.forget_table()
             continue
         frame = board_frame(calibration, [board], _TABLE)
+        if not _is_enough(calibration, places, frame, wanted, questions):
+            continue
         with atomic_replacement(folder / CALIBRATED, folder=True) as staged:
             write_calibration(staged, calibration, frame=frame)
         return
@@ -202,27 +213,70 @@ def _shift(before: _Seen, after: _Seen) -> float:
     return float(max(distances, default=np.inf))
 
 
-def _judged(places: _Places, questions: Questions) -> Calibration | None:
-    """The calibration from all places, if it is good enough; what is missing is said."""
+def _calibrated(places: _Places, questions: Questions) -> Calibration | None:
+    """The calibration from all places; None, which is said, where they do not give one yet."""
     if places.count < _FEWEST:
         questions.tell(f"{places.count} places of the board: now hold it up, turn and tilt it")
         return None
     try:
         with questions.working() as progress:
             progress("calibration", 0.0)
-            calibration = calibrate(places.sightings(), [places.board])
-            sigma = length_sigma(calibration)
+            return calibrate(places.sightings(), [places.board])
     except CalibrationError as error:
         questions.tell(f"{places.count} places of the board: {error}")
         return None
+
+
+def _is_enough(
+    calibration: Calibration, places: _Places, frame: Pose, wanted: float, questions: Questions
+) -> bool:
+    """Whether lengths are known well enough where the object will stand; how well is said, and what
+    views are missing where that is not enough."""
+    try:
+        sigma = length_sigma_there(calibration, places.board, frame)
+    except CalibrationError as error:
+        questions.tell(str(error))
+        return False
+    enough = sigma <= wanted
     missing = [text for camera in camera_quality(calibration) for text in camera.missing]
-    more = [*missing, *filter(None, [timing_note(calibration)])]
+    more = [*(() if enough else missing), *filter(None, [timing_note(calibration)])]
     questions.tell(
         f"{places.count} places of the board: lengths are known to {100 * sigma:.2g} %, of"
-        f" {100 * _PRECISE:g} % wanted{''.join(f'; {text}' for text in more)}"
+        f" {100 * wanted:.2g} % wanted{''.join(f'; {text}' for text in more)}"
     )
-    enough = sigma <= _PRECISE and not (missing and places.count < _MANY)
-    return calibration if enough else None
+    return enough
+
+
+def length_sigma_there(calibration: Calibration, board: Target, frame: Pose) -> float:
+    """Relative standard deviation of lengths on an object where a board lay, along the direction in
+    which it is largest.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    board : Target
+    frame : (4, 4) float [m]        of `board_frame`, on the board
+
+    Returns
+    -------
+    float [-]
+
+    Raises
+    ------
+    CalibrationError                two cameras together hardly see it
+    """
+    flat = board.points - board.points.mean(axis=0)
+    height = _HEIGHT * float(np.ptp(flat, axis=0).max())
+    points = np.concatenate([flat, flat + np.array([0.0, 0.0, height])])
+    strains = space_strains(
+        Rig(calibration.cameras, 0, "calibration"),
+        known_rig(calibration),
+        points @ frame[:3, :3].T + frame[:3, 3],
+    )
+    along = np.random.default_rng(0).standard_normal((_DIRECTIONS, 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    stretches = np.einsum("di,mij,dj->dm", along, strains, along)
+    return float(np.linalg.norm(stretches, axis=1).max())
 
 
 def place_object(bench: Bench, questions: Questions, folder: Path, mesh: TriangleMesh) -> None:

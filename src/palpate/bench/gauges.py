@@ -68,8 +68,15 @@ def shown_ports() -> list[str]:
     return sorted(str(file) for pattern in _PORTS for file in Path(_DEVICES).glob(pattern))
 
 
+def _spread(since: float, now: float, count: int) -> Float[np.ndarray, " n"]:
+    """Times of readings that came between two calls [s]. With one time for all of them the noise of
+    the force would be lost: what lies between two calls would be a straight line."""
+    return now - (now - since) * np.arange(count)[::-1] / max(count, 1)
+
+
 class SerialGauge:
-    """A gauge on a serial line or USB adapter.
+    """A gauge on a serial line or USB adapter. What has come since the last call is spread over the
+    time since then.
 
     Parameters
     ----------
@@ -95,7 +102,7 @@ class SerialGauge:
         self.baud = baud or self.protocol.baud
         self._line: Any = None
         self._rest = b""
-        self._heard = 0.0
+        self._heard = self._called = 0.0
         self._pattern = re.compile(self.protocol.reading)
 
     def start(self) -> None:
@@ -107,10 +114,11 @@ class SerialGauge:
         except (serial.SerialException, ValueError) as error:
             raise self._error(f"cannot be opened ({error})") from error
         self._rest, self._heard = b"", time.monotonic()
+        self._called = self._heard
         self._ask()
 
     def read(self) -> Readings:
-        """As in `ForceSource`; readings that came together have one time."""
+        """As in `ForceSource`."""
         serial = late_import("serial", extra="gauge", purpose="a gauge on a serial line")
         try:
             arrived = self._line.read(_LONGEST)
@@ -126,7 +134,8 @@ class SerialGauge:
                 self._ask()
         except (serial.SerialException, OSError) as error:
             raise self._error(f"has gone ({error})") from error
-        return np.full(len(newtons), now), np.array(newtons)
+        since, self._called = self._called, now
+        return _spread(since, now, len(newtons)), np.array(newtons)
 
     def close(self) -> None:
         """As in `ForceSource`."""
@@ -179,7 +188,8 @@ class SerialGauge:
 
 class TableGauge:
     """A table that another program writes line by line: its last column is the force. What is in it
-    before the start is left out; each line has the time at which it was seen.
+    before the start is left out; what has come since the last call is spread over the time since
+    then.
 
     Parameters
     ----------
@@ -193,7 +203,7 @@ class TableGauge:
     def __init__(self, file: Path, *, unit: str = "N", limit: float | None = None) -> None:
         self.file, self.unit, self.limit = file, unit, limit
         self._place = 0
-        self._heard = 0.0
+        self._heard = self._called = 0.0
 
     def start(self) -> None:
         """As in `ForceSource`."""
@@ -203,7 +213,7 @@ class TableGauge:
             raise DeviceError(
                 f"{self.file}: cannot be read ({error.strerror}); start the program that writes it"
             ) from error
-        self._heard = time.monotonic()
+        self._heard = self._called = time.monotonic()
 
     def read(self) -> Readings:
         """As in `ForceSource`."""
@@ -230,7 +240,8 @@ class TableGauge:
                 f"{self.file}: has had no new line for {_SILENT:g} s; is the program that writes it"
                 " running, and does it write each line at once?"
             )
-        return np.full(len(values), now), FORCE_UNITS[self.unit] * np.array(values)
+        since, self._called = self._called, now
+        return _spread(since, now, len(values)), FORCE_UNITS[self.unit] * np.array(values)
 
     def close(self) -> None:
         """As in `ForceSource`."""

@@ -5,11 +5,10 @@ Whatever goes wrong is said, with a way on; nothing here knows whether a person,
 in the browser answers.
 """
 
-import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,9 +32,10 @@ from palpate.bench.questions import (
     Stopped,
 )
 from palpate.bench.turning import SCANNED, scan_object
+from palpate.bench.wanted import Wanted, wanted_lengths
 from palpate.errors import InputError, PalpateError
-from palpate.geometry import TriangleMesh, checked_mesh
-from palpate.pipeline import NextProbings, first_place
+from palpate.geometry import TriangleMesh, checked_mesh, unit_normals
+from palpate.pipeline import FittedBody, NextProbings, first_place
 from palpate.recording import (
     default_radius,
     flat_sides,
@@ -46,8 +46,7 @@ from palpate.recording import (
 from palpate.records import (
     BIASED,
     FILE_LENGTH_UNITS,
-    MODULUS_UNITS,
-    Constant,
+    FREE,
     Estimate,
     Session,
     Status,
@@ -56,10 +55,8 @@ from palpate.records import (
     read_toml,
     verdict_text,
 )
-from palpate.shapes import Vector3
+from palpate.shapes import Indices, Vector3
 
-_CONSTANTS = {"E": "young_modulus", "G": "shear_modulus", "nu": "poisson_ratio"}
-_WANTED = re.compile(r"(E|G|nu)\s+(\d+\.?\d*|\.\d+)\s*(\S*)")
 # A scale under the object reads a push whose direction has at least this component along its own.
 _FROM_ABOVE = 0.7
 # Triangles that a person says are held, in the session's folder.
@@ -68,55 +65,21 @@ _RIG = "rig.toml"
 # The way of an arm to its first push; what a person can say to a push that failed.
 _DRAWING = "first_push.png"
 AGAIN, ELSEWHERE, STOP = "again", "elsewhere", "stop"
+# How an object stands: keys of its support (a slippery plate: with the normal of the side), and of
+# the errors. What stands loose may tilt and shift a little under a push, which is estimated, and is
+# zero where it is glued after all. The softest pads, a centimetre of foam of 25 kPa, give as much.
+LOOSE, GLUED, SLIPPERY, SOFT = _WAYS = (
+    "loose", "glued or taped", "on a slippery plate", "on a soft pad"
+)  # fmt: skip
+_SOFTEST_PAD = "400 um/kPa"
 # Tools that need no more than a radius, in a person's words.
 _TOOLS = {"ball": "sphere", "flat round end": "flat"}
 # What a session of the object at another place does not take over, and what is asked before one.
 _OF_ONE_SESSION = ("format", "rig", "probe")
+# Cosine between normals of triangles of one flat side.
+_ONE_SIDE = 0.999
 _IS_BACK = "Is it back where it was? If not, another session begins, with the object where it is"
 _Places = list[tuple[Vector3, Vector3]]
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """A constant, and half the 95 % interval that it is to have: relative, or in SI units."""
-
-    constant: str
-    half: float
-    relative: bool
-
-    def share(self, estimate: Estimate) -> float:
-        """Half the interval over the wanted one; 1 or less: reached; infinite: not determined."""
-        if not estimate.identifiable[self.constant]:
-            return np.inf
-        constant: Constant = getattr(estimate, self.constant)
-        half = 0.5 * (constant.ci95[1] - constant.ci95[0])
-        share = half / (self.half * (constant.value if self.relative else 1.0))
-        return float(share) if np.isfinite(share) else np.inf
-
-
-def wanted_precision(text: str) -> Wanted:
-    """What `--until` says: "E 3 %", "nu 0.02", "G 2 kPa".
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    Wanted
-
-    Raises
-    ------
-    InputError                      something else
-    """
-    match = _WANTED.fullmatch(text.strip())
-    units = {"%": 0.01, **({"": 1.0} if match and match[1] == "nu" else MODULUS_UNITS)}
-    if match is None or match[3] not in units or not float(match[2]) > 0.0:
-        raise InputError(
-            f'--until is "{text}"; must be a constant and half the width of its 95 % interval: "E 3'
-            ' %", "G 2 kPa", "nu 0.02"'
-        )
-    return Wanted(_CONSTANTS[match[1]], float(match[2]) * units[match[3]], match[3] == "%")
 
 
 def measure(
@@ -159,9 +122,7 @@ def measure(
         questions.step(DEVICES)
         _start(bench, questions)
         questions.watch([camera.name for camera in bench.cameras], lambda: grabbed(bench)[1])
-        questions.step(CALIBRATION)
-        if bench.rig is None and not any((folder / x).exists() for x in (_RIG, CALIBRATED)):
-            _insisting(bench, questions, lambda: calibrate_live(bench, questions, folder))
+        _calibrate(bench, questions, folder, wanted_lengths(until))
         questions.step(OBJECT)
         session = _begun(bench, questions, folder, cache)
         bench = replace(bench, rig=session.rig)
@@ -178,7 +139,7 @@ def measure(
         if session.count:
             estimate, places = judge(session.measured())
         go = True
-        if bench.arm is not None and bench.arm.asks:
+        if bench.arm is not None and bench.arm.asks and places:
             _rehearse(bench, questions, session, *places[0])
             go = questions.choose("Is that way free, and shall the arm go?", ["yes", "no"]) == "yes"
         while go and not _enough(session, estimate, until, pushes, questions):
@@ -197,12 +158,23 @@ def measure(
             except InputError as error:
                 session.withdraw()
                 questions.tell(f"This push does not count: {error}")
+                if questions.choose("Push again?", [AGAIN, STOP]) == STOP:
+                    break
     if further is not None:
         again, folder = further
         return measure(again, questions, folder, until=until, pushes=pushes, cache=cache)
     if estimate is not None:
         questions.tell(f"Session in {folder}; a report: palpate fit {folder}")
     return estimate
+
+
+def _calibrate(bench: Bench, questions: Questions, folder: Path, wanted: float) -> None:
+    """Calibrate cameras that are not, until lengths are known as well as wanted."""
+    questions.step(CALIBRATION)
+    if bench.rig is None and not any((folder / x).exists() for x in (_RIG, CALIBRATED)):
+        _insisting(
+            bench, questions, lambda: calibrate_live(bench, questions, folder, wanted=wanted)
+        )
 
 
 class _MovedAway(Exception):
@@ -335,11 +307,30 @@ def _asked_object(bench: Bench, questions: Questions, folder: Path) -> dict[str,
     for side in flat_sides(mesh):
         on_it = (mesh.vertices - side.point) @ side.normal > -side.tolerance
         faces[side.name] = np.flatnonzero(on_it[mesh.triangles].all(axis=1))
-    held = questions.face("Which side is held?", mesh, faces)
+    held, stands = _asked_support(questions, mesh, faces)
     put((there / name).read_bytes(), folder / Path(name).name)
     put("".join(f"{row}\n" for row in held).encode(), folder / _HELD_FILE)
-    support = {"triangles": _HELD_FILE}
-    return {"object": {"mesh": Path(name).name, "length_unit": unit}, "support": support}
+    return {"object": {"mesh": Path(name).name, "length_unit": unit}, **stands}
+
+
+def _asked_support(
+    questions: Questions, mesh: TriangleMesh, faces: Mapping[str, Indices]
+) -> tuple[Indices, dict[str, Any]]:
+    """Triangles that are held; tables support and, where that may give, errors."""
+    while True:
+        held, way = questions.face(mesh, faces, _WAYS)
+        support: dict[str, Any] = {"triangles": _HELD_FILE}
+        if way == SOFT:
+            return held, {"support": support, "errors": {"support_compliance": _SOFTEST_PAD}}
+        if way == LOOSE:
+            support["motion"] = FREE
+        if way == SLIPPERY:
+            normals = unit_normals(mesh)[held]
+            if (normals @ normals[0]).min() < _ONE_SIDE:
+                questions.tell("A slippery plate holds one flat side: mark that alone")
+                continue
+            support["directions"] = [normals[0].tolist()]
+        return held, {"support": support}
 
 
 def _in_metres(surface: TriangleMesh, unit: str) -> TriangleMesh:
@@ -442,15 +433,32 @@ def _judged(
             questions.tell(note)
     questions.judged(estimate)
     try:
+        return estimate, _further(bench, session, questions, measured, result, until)
+    except InputError as error:
+        # This push counts all the same.
+        questions.tell(f"That was the last push: {error}")
+        return estimate, []
+
+
+def _further(
+    bench: Bench,
+    session: LiveSession,
+    questions: Questions,
+    measured: Session,
+    fitted: FittedBody,
+    until: Wanted | None,
+) -> _Places:
+    """The places for the next push, best first, and how many it takes."""
+    try:
         with questions.working() as progress:
-            plan = session.plan(measured, result, progress=progress)
+            plan = session.plan(measured, fitted, progress=progress)
     except PalpateError as error:
         questions.tell(f"Where to push next is not clear yet: {error}")
         bare = replace(session.bare, probings=measured.probings, steps=())
-        return estimate, [first_place(bare, radius=session.contact_radius)]
+        return [first_place(bare, radius=session.contact_radius)]
     if until is not None:
-        questions.tell(_still_needed(estimate, plan, until))
-    return estimate, _allowed(bench, plan)
+        questions.tell(_still_needed(fitted.estimate, plan, until))
+    return _allowed(bench, plan)
 
 
 def _still_needed(estimate: Estimate, plan: NextProbings, until: Wanted) -> str:

@@ -158,8 +158,11 @@ class Page(Questions):
         finally:
             form.remove()
 
-    def face(self, text: str, mesh: TriangleMesh, faces: Mapping[str, Indices]) -> Indices:
-        """As in `Questions`: a click chooses the flat face there, with the shift key one more."""
+    def face(
+        self, mesh: TriangleMesh, faces: Mapping[str, Indices], ways: Sequence[str]
+    ) -> tuple[Indices, str]:
+        """As in `Questions`: a click chooses the flat face there, with the shift key one more; a
+        button for each way."""
         held = next(iter(faces.values()), np.zeros(0, dtype=np.int64))
 
         def click(triangle: int, more: bool) -> None:
@@ -174,10 +177,13 @@ class Page(Questions):
             self._turn(_aslant(unit_normals(mesh)[held[0]]))
         try:
             while True:
-                question = f"{text} It is orange. Click on another face, or with shift on one more."
-                self._answer(question, ["This is held"])
+                way = self._answer(
+                    "How does it stand on the orange side? If it stands on another, click on that;"
+                    " with shift on one more.",
+                    ways,
+                )
                 if len(held):
-                    return held
+                    return held, way
                 self.tell("Nothing is marked yet: click on what is held")
         finally:
             self._clicked = None

@@ -126,7 +126,7 @@ def trace_svg(
     them the motion of the surface [s, m], drawn as high: of an elastic body both lines are one."""
     t, f = np.array(time), np.array(force)
     late = np.flatnonzero(t >= t[-1:] - _SHOWN)
-    # Readings that came together have one time.
+    # One reading is no line.
     if not len(late) or t[late[0]] == t[-1]:
         return ""
     rest = f[: max(2, len(f) // 10)]

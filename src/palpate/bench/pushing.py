@@ -150,6 +150,8 @@ class _Watch:
         self.time: list[float] = []
         self.reading: list[float] = []
         self.state = AT_REST
+        # What came before is of no push.
+        bench.force.read()
 
     def poll(self) -> None:
         """Take a picture with every camera, and what the gauge has sent."""

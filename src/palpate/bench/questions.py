@@ -58,13 +58,17 @@ class Questions(Protocol):
     def working(self) -> AbstractContextManager[Progress]:
         """Show what is being done until the block ends; nothing is asked or told in it."""
 
-    def face(self, text: str, mesh: TriangleMesh, faces: Mapping[str, Indices]) -> Indices:
-        """Triangles of a part of the surface [m]: one of some faces with names, or as clicked."""
+    def face(
+        self, mesh: TriangleMesh, faces: Mapping[str, Indices], ways: Sequence[str]
+    ) -> tuple[Indices, str]:
+        """Triangles that the object stands on or is held at [m], one of some faces with names, or
+        as clicked; and in which of some ways."""
         if not faces:
             raise InputError(
                 "the object has no flat side along an axis; say what is held as [support]"
             )
-        return faces[self.choose(text, list(faces))]
+        face = self.choose("Which side does it stand on, or is it held at?", list(faces))
+        return faces[face], self.choose("How does it stand there?", list(ways))
 
     def step(self, name: str) -> None:
         """Say which of `STEPS` begins."""

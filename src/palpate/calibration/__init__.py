@@ -14,6 +14,7 @@ from palpate.calibration.calibrate import (
     Calibration as Calibration,
     board_frame as board_frame,
     calibrate as calibrate,
+    known_rig as known_rig,
 )
 from palpate.calibration.object_view import (
     ObjectView as ObjectView,

@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, split_sides, unit_normals, vertex_normals
+from palpate.pipeline.model.supports import check_balance, sliding_motion
 from palpate.pipeline.motion.sequences import session_rig
 from palpate.records import Session, camera_centre
 from palpate.shapes import Points, Vector3
@@ -42,7 +43,8 @@ def first_place(session: Session, *, radius: float) -> tuple[Vector3, Vector3]:
     if not len(point):
         raise InputError(
             f"no place of the surface can be reached by a tool with a contact of {radius:g} m: it"
-            " needs a flat or gently curved place, free above and away from edges and supports"
+            " needs a flat or gently curved place, free above and away from edges and supports,"
+            " and on rollers one where it presses straight against them"
         )
     eyes = np.stack([camera_centre(camera) for camera in session_rig(session).cameras])
     away = point[:, None] - eyes
@@ -69,6 +71,7 @@ def reachable_places(session: Session, *, radius: float) -> tuple[Points, Points
     free = _far_from_edges(session, radius) & ~_from_the_support(session, normals)
     taken = np.array([probing.contact.point for probing in session.probings]).reshape(-1, 3)
     free &= cKDTree(taken).query(mesh.vertices)[0] > radius
+    free &= _is_answered(session, normals, free)
     vertices = _spread(mesh.vertices, np.flatnonzero(free), taken, 3 * MOST_PLACES)
     reachable = [k for k in vertices if _shaft_is_free(mesh, mesh.vertices[k], normals[k], radius)]
     chosen = np.array(reachable[:MOST_PLACES], dtype=np.int64)
@@ -96,6 +99,20 @@ def _from_the_support(session: Session, normals: Points) -> Bool[np.ndarray, " v
     """Vertices that face the same way as the supports, where the fixture obstructs the tool."""
     outward = unit_normals(session.mesh)[session.held_triangles].mean(axis=0)
     return normals @ outward > _FROM_BELOW
+
+
+def _is_answered(
+    session: Session, normals: Points, free: Bool[np.ndarray, " v"]
+) -> Bool[np.ndarray, " v"]:
+    """Which of the free vertices can be pressed without the object sliding off its rollers."""
+    sliding = sliding_motion(session)
+    answered = free.copy()
+    for k in np.flatnonzero(free) if sliding is not None else ():
+        try:
+            check_balance(sliding, [(session.mesh.vertices[k], -normals[k])], "")
+        except InputError:
+            answered[k] = False
+    return answered
 
 
 def _shaft_is_free(
