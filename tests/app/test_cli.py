@@ -55,7 +55,7 @@ def test_help_loads_no_numerics():
     ("arguments", "message"),
     [
         (["check"], "SESSION is missing; see palpate check --help"),
-        (["poke", "ball", "--at", "0", "0", "--force", "0"], "--at takes 3 values, not 2; see"),
+        (["poke", "ball", "--at", "0", "0"], "--at takes 3 values, not 2; see palpate poke"),
         (
             ["poke", "ball", "--at", "0", "0", "1", "--push", "2mm"],
             "--force is missing; give 3 values (--push: no such option); see palpate poke --help",
