@@ -58,7 +58,7 @@ def test_help_loads_no_numerics():
         (["poke", "ball", "--at", "0", "0"], "--at takes 3 values, not 2; see palpate poke"),
         (
             ["poke", "ball", "--at", "0", "0", "1", "--push", "2mm"],
-            "--force is missing; give 3 values (--push: no such option); see palpate poke --help",
+            "give --force with 3 values (--push: no such option); see palpate poke --help",
         ),
         (["measure", "virtual", "--out", __file__], "test_cli.py: is not a folder; choose another"),
         (["check", "nowhere"], "nowhere: no such file or folder"),

@@ -346,7 +346,7 @@ def _missing_text(error: MissingArgumentError) -> str:
     if given:
         text = f"{name} takes {count} values, not {given}"
     else:
-        text = f"{name} is missing" + (f"; give {count} values" if count > 1 else "")
+        text = f"{name} is missing" if count <= 1 else f"give {name} with {count} values"
         unknown = [word for word in error.unused_tokens or () if word.startswith("--")]
         text += f" ({', '.join(unknown)}: no such option)" if unknown else ""
     return f"{text}; see palpate {' '.join(error.command_chain or ())} --help"
