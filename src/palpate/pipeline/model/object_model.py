@@ -38,6 +38,11 @@ from palpate.progress import Progress, silent
 from palpate.records import GIVEN, RIGID, Session, SurfaceAverage
 from palpate.shapes import Vector3
 
+# How far the place of a support must be from known, over how far its force took it, for its force
+# along an axis to say nothing of it; and how far it may be then.
+_FAR, _ANYWHERE = 10.0, 1e3
+_TINY = float(np.finfo(float).tiny)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectModel:
@@ -139,12 +144,6 @@ def make_object_model(
         session, system, loads, supports, sliding is not None, right, body,
         make_solver(system) if like is None else like.solver, session_springs(session, system),
     )  # fmt: skip
-
-
-# How far the place of a support must be from known, over how far its force took it, for its force
-# along an axis to say nothing of it; and how far it may be then.
-_FAR, _ANYWHERE = 10.0, 1e3
-_TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
