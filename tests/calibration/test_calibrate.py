@@ -1,6 +1,7 @@
 """From drawn pictures to a rig: targets, half turns, views that contradict, files."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import cv2
@@ -21,6 +22,7 @@ from palpate.calibration import (
     find_pictures,
     length_check,
     length_sigma,
+    middle_view,
     picture_errors,
     write_calibration,
 )
@@ -286,24 +288,28 @@ def test_pictures_of_different_instants_are_refused() -> None:
 
 
 def test_lengths_are_as_good_as_said() -> None:
-    """The scale of a rig against its true one, over seeds: its claimed sigma holds."""
+    """Stretches of a block on the middle board against its true ones, over seeds: the largest in
+    any direction is about as large as is claimed for the worst one."""
+    block = np.array([*product((-0.048, 0.0, 0.048), (-0.036, 0.0, 0.036), (0.0, 0.024, 0.048))])
     ratios = []
-    for seed in range(20, 26):
+    for seed in range(20, 32):
         seen, board, truth = _synthetic(seed, cameras=2)
         result = calibrate(seen, [board])
-        sigma = length_sigma(result)
-        pose = truth.view[seen.corners.view]
-        points = np.einsum("mij,mj->mi", pose[:, :3, :3], seen.corners.point) + pose[:, :3, 3]
+        view = middle_view(result)
+        sigma = length_sigma(result, [board], view)
+        frame = board_frame(result, [board], view)
+        points = block @ frame[:3, :3].T + frame[:3, 3]
         pixels = np.stack([project(camera, points) for camera in cameras_of(seen, truth)])
         measured = triangulate(Rig(result.cameras, 0, ""), pixels, 0.1).point
-        scale = np.sqrt(measured.var(axis=0).sum() / points.var(axis=0).sum())
-        ratios.append((scale - 1.0) / sigma)
+        offsets = points - points.mean(axis=0)
+        gradient = np.linalg.lstsq(offsets, measured - points, rcond=None)[0]
+        ratios.append(np.abs(np.linalg.eigvalsh(gradient + gradient.T)).max() / 2.0 / sigma)
         check = length_check(result)
         assert check is not None
         # Three quarters of the views have a larger sigma, and four boards have their own noise.
         assert abs(check[1]) < 5.0 * sigma
-    # Root mean square of six: 0.37 to 1.6 in 99 % of all draws.
-    assert 0.37 < np.sqrt(np.mean(np.square(ratios))) < 1.6
+    # Of 24 draws 1.17 (0.97 in the worst direction itself), and of twelve within a factor of 1.5.
+    assert 0.78 < np.sqrt(np.mean(np.square(ratios))) < 1.75
 
 
 def test_what_is_missing_is_said() -> None:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from palpate.bench.bench_file import Bench, put, read_board
 from palpate.bench.pushing import grabbed, write_picture
-from palpate.bench.questions import Pictures, Pose, Questions
+from palpate.bench.questions import Pictures, Questions
 from palpate.bench.turning import SCANNED, TURNS
 from palpate.calibration import (
     TARGET_KINDS,
@@ -30,7 +30,7 @@ from palpate.calibration import (
     eight_bits,
     find_pictures,
     gathered,
-    known_rig,
+    length_sigma,
     timing_note,
     view_object,
     without_repeats,
@@ -48,7 +48,7 @@ from palpate.records import (
     read_rig_covariance,
     write_rig,
 )
-from palpate.vision import picture_path, read_grey, space_strains
+from palpate.vision import picture_path, read_grey
 
 CALIBRATED = "calibration"
 _BOARDS, _TABLE = "boards", "table"
@@ -62,9 +62,6 @@ _FEWEST = 4
 # Relative standard deviation to which lengths on the object are to be known, whatever is wanted of
 # the constants: squared in E it is 0.2 %, which widens the interval of a gauge's gain, 1 %, by 2 %.
 PRECISE = 1e-3
-# Marks of the board on the table, and as many so high above it, over the board's extent, are where
-# lengths are to be known. What is said of them is that of the worst of so many directions.
-_HEIGHT, _DIRECTIONS = 0.5, 200
 _USUAL = {"charuco": "9 7 20mm 15mm", "aprilgrid": "6 6 22mm 6.6mm"}
 _Seen = tuple[Sighting, ...]
 
@@ -162,9 +159,9 @@ def calibrate_live(
             questions.tell("The board on the table does not agree with the others: once more")
             places.forget_table()
             continue
-        frame = board_frame(calibration, [board], _TABLE)
-        if not _is_enough(calibration, places, frame, wanted, questions):
+        if not _is_enough(calibration, places, wanted, questions):
             continue
+        frame = board_frame(calibration, [board], _TABLE)
         with atomic_replacement(folder / CALIBRATED, folder=True) as staged:
             write_calibration(staged, calibration, frame=frame)
         return
@@ -228,12 +225,12 @@ def _calibrated(places: _Places, questions: Questions) -> Calibration | None:
 
 
 def _is_enough(
-    calibration: Calibration, places: _Places, frame: Pose, wanted: float, questions: Questions
+    calibration: Calibration, places: _Places, wanted: float, questions: Questions
 ) -> bool:
     """Whether lengths are known well enough where the object will stand; how well is said, and what
     views are missing where that is not enough."""
     try:
-        sigma = length_sigma_there(calibration, places.board, frame)
+        sigma = length_sigma(calibration, [places.board], _TABLE)
     except CalibrationError as error:
         questions.tell(str(error))
         return False
@@ -245,38 +242,6 @@ def _is_enough(
         f" {100 * wanted:.2g} % wanted{''.join(f'; {text}' for text in more)}"
     )
     return enough
-
-
-def length_sigma_there(calibration: Calibration, board: Target, frame: Pose) -> float:
-    """Relative standard deviation of lengths on an object where a board lay, along the direction in
-    which it is largest.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    board : Target
-    frame : (4, 4) float [m]        of `board_frame`, on the board
-
-    Returns
-    -------
-    float [-]
-
-    Raises
-    ------
-    CalibrationError                two cameras together hardly see it
-    """
-    flat = board.points - board.points.mean(axis=0)
-    height = _HEIGHT * float(np.ptp(flat, axis=0).max())
-    points = np.concatenate([flat, flat + np.array([0.0, 0.0, height])])
-    strains = space_strains(
-        Rig(calibration.cameras, 0, "calibration"),
-        known_rig(calibration),
-        points @ frame[:3, :3].T + frame[:3, 3],
-    )
-    along = np.random.default_rng(0).standard_normal((_DIRECTIONS, 3))
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    stretches = np.einsum("di,mij,dj->dm", along, strains, along)
-    return float(np.linalg.norm(stretches, axis=1).max())
 
 
 def place_object(bench: Bench, questions: Questions, folder: Path, mesh: TriangleMesh) -> None:

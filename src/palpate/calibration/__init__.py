@@ -30,6 +30,7 @@ from palpate.calibration.quality import (
     camera_quality as camera_quality,
     length_check as length_check,
     length_sigma as length_sigma,
+    middle_view as middle_view,
     picture_errors as picture_errors,
     timing_note as timing_note,
     write_calibration as write_calibration,

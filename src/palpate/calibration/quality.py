@@ -16,7 +16,14 @@ import yaml
 from jaxtyping import Float, Int
 
 from palpate.calibration.adjustment import Corners, adjust, missing_tilts, view_jacobians
-from palpate.calibration.calibrate import Calibration, cameras_of, known_rig, without_views
+from palpate.calibration.calibrate import (
+    Calibration,
+    board_frame,
+    cameras_of,
+    known_rig,
+    without_views,
+)
+from palpate.calibration.targets import Target
 from palpate.errors import CalibrationError, RecordError
 from palpate.records import (
     Camera,
@@ -35,6 +42,9 @@ _ROWS, _COLUMNS = ("upper", "middle", "lower"), ("left", "centre", "right")
 _MIN_CORNERS = 10
 # Largest relative error of a baseline measured from outside; a larger one means a wrong board size.
 _MAX_BASELINE_ERROR = 0.05
+# An object on a board is so high, over the board's extent; what is said of its lengths is that of
+# the worst of so many directions.
+_HEIGHT, _DIRECTIONS = 0.5, 200
 # One view in this many is held out to check lengths.
 _FOLD = 4
 # Minimum fraction of the residual variance explained by velocities, adjusted for their number; and
@@ -224,15 +234,18 @@ def _scale(rig: Rig, corners: Corners) -> float | None:
     )
 
 
-def length_sigma(calibration: Calibration) -> float:
-    """Relative standard deviation of the scale of lengths measured where the boards were.
+def length_sigma(calibration: Calibration, targets: Sequence[Target], view: str) -> float:
+    """Relative standard deviation of lengths on an object that stands where a board lay, along the
+    direction in which it is largest.
 
-    It is the error common to all lengths, from the covariance alone; an error of the board's own
-    dimensions is not included.
+    It is common to all lengths along that direction, and from the covariance alone: an error of the
+    board's own dimensions is not in it.
 
     Parameters
     ----------
     calibration : Calibration       of two cameras at least
+    targets : sequence of Target    with which it was made
+    view : str                      of the board; the object is as wide, and half as high
 
     Returns
     -------
@@ -240,19 +253,38 @@ def length_sigma(calibration: Calibration) -> float:
 
     Raises
     ------
-    CalibrationError                there is only one camera
+    CalibrationError                there is no such view, or two cameras together hardly see the
+                                    object
     """
-    corners, bundle = calibration.corners, calibration.adjusted.bundle
-    pose = bundle.view[corners.view]
-    points = np.einsum("mij,mj->mi", pose[:, :3, :3], corners.point) + pose[:, :3, 3]
+    frame = board_frame(calibration, targets, view)
+    sightings = calibration.sightings
+    board = targets[sightings.targets[sightings.views.index(view)]].points
+    flat = board - board.mean(axis=0)
+    height = _HEIGHT * float(np.ptp(flat, axis=0).max())
+    points = np.concatenate([flat, flat + np.array([0.0, 0.0, height])])
     strains = space_strains(
         Rig(calibration.cameras, 0, "calibration"),
         known_rig(calibration),
-        points,
+        points @ frame[:3, :3].T + frame[:3, 3],
     )
-    # Relative change of the rms extent of all corners under each strain.
-    covariance = np.cov(points.T)
-    return float(np.linalg.norm(np.einsum("ij,mij->m", covariance, strains)) / np.trace(covariance))
+    along = np.random.default_rng(0).standard_normal((_DIRECTIONS, 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    stretches = np.einsum("di,mij,dj->dm", along, strains, along)
+    return float(np.linalg.norm(stretches, axis=1).max())
+
+
+def middle_view(calibration: Calibration) -> str:
+    """Name of the view whose board was nearest to the mean place of all boards.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    """
+    corners, views = calibration.corners, calibration.sightings.views
+    pose = calibration.adjusted.bundle.view[corners.view]
+    points = np.einsum("mij,mj->mi", pose[:, :3, :3], corners.point) + pose[:, :3, 3]
+    places = np.stack([points[corners.view == v].mean(axis=0) for v in range(len(views))])
+    return views[int(np.linalg.norm(places - places.mean(axis=0), axis=1).argmin())]
 
 
 def baseline_text(calibration: Calibration, baseline: float) -> str:

@@ -27,6 +27,7 @@ from palpate.calibration import (
     length_check,
     length_sigma,
     make_target,
+    middle_view,
     still_frames,
     timing_note,
     view_object,
@@ -35,7 +36,7 @@ from palpate.calibration import (
     write_object_view,
 )
 from palpate.disk import atomic_replacement
-from palpate.errors import InputError
+from palpate.errors import CalibrationError, InputError
 from palpate.figures import (
     board_figure,
     object_figure,
@@ -143,7 +144,7 @@ def calibrate(
     quality = camera_quality(calibration)
     print_tables(_table(calibration, quality))
     print_notes([text for camera in quality for text in camera.missing])
-    print_text(f"{_lengths(calibration)}{lengths}Result in {destination}")
+    print_text(f"{_lengths(calibration, targets, table)}{lengths}Result in {destination}")
     return 0
 
 
@@ -351,13 +352,18 @@ def _table(calibration: Calibration, quality: tuple[CameraQuality, ...]) -> Tabl
     return terminal_table("Cameras", columns, rows, caption=caption)
 
 
-def _lengths(calibration: Calibration) -> str:
+def _lengths(calibration: Calibration, targets: list[Target], table: str | None) -> str:
     """How well the rig measures lengths, where it has two cameras."""
     if len(calibration.cameras) < 2:
         return ""
+    view = table or middle_view(calibration)
+    try:
+        sigma = length_sigma(calibration, targets, view)
+    except CalibrationError as error:
+        return f"{error}\n"
     text = (
-        f"Lengths measured with this rig are known to {100 * length_sigma(calibration):.2g} % of"
-        " the board's own\n"
+        f"Lengths on an object where the board of view '{view}' was are known to"
+        f" {100 * sigma:.2g} % of the board's own\n"
     )
     check = length_check(calibration)
     if check is None:
