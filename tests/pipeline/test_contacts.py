@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from palpate.bem import (
     disc_potentials,
     make_surface,
 )
+from palpate.checkpoints import Memory
 from palpate.errors import PalpateError
 from palpate.geometry import TriangleMesh, closest_points
 from palpate.pipeline import (
@@ -54,6 +56,7 @@ from palpate.records import (
     Tool,
     ToolTraction,
     mesh_tool,
+    read_session,
 )
 
 SHEAR, NU, BALL = 2e4, 0.3, 6e-3
@@ -380,3 +383,38 @@ def test_contacts_without_a_tool_stay() -> None:
     assert displaced.probings[0] is hertzian
     # The circle of a tool is found anew about the place where it presses.
     assert with_contact_radii(displaced, **CONSTANTS).probings[0].contact is hertzian.contact
+
+
+def test_a_push_more_is_modelled_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Live, each of six pushes is fitted with those before it, to what a fit of all finds."""
+    given = read_session(Path(__file__).parents[2] / "examples" / "half_ball")
+    probings = tuple(
+        replace(probing, contact=Contact.under(Sphere(0.02), probing.contact.point))
+        for probing in given.probings
+    )
+    modelled: list[tuple[str, ...]] = []
+
+    def noted(session: Session, **options: Any) -> object:
+        modelled.append(tuple(probing.name for probing in session.probings))
+        return make_object_model(session, **options)
+
+    for module in ("palpate.pipeline.observations", "palpate.pipeline.fit_session"):
+        monkeypatch.setattr(sys.modules[module], "make_object_model", noted)
+    memory = Memory()
+    for count in range(1, len(probings) + 1):
+        modelled.clear()
+        session = replace(given, probings=probings[:count])
+        live = fit_session(session, cache=memory).estimate
+    # Of the one before, the contact may still settle.
+    assert {name for names in modelled for name in names} <= {"p5", "p6"}
+    anew = fit_session(session).estimate
+    for name in ("young_modulus", "poisson_ratio"):
+        value, expected = getattr(live, name), getattr(anew, name)
+        # Contacts stay that change by less than a thousandth.
+        assert abs(value.value - expected.value) < 0.05 * expected.std
+        assert value.std == pytest.approx(expected.std, rel=0.01)
+    # Another force on the first push is another push.
+    weaker = replace(probings[0], force=0.9 * probings[0].force)
+    session = replace(given, probings=(weaker, *probings[1:]))
+    live, anew = (fit_session(session, cache=cache).estimate for cache in (memory, None))
+    assert abs(live.young_modulus.value - anew.young_modulus.value) < 0.05 * anew.young_modulus.std

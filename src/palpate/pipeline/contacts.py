@@ -7,13 +7,13 @@ where the surface faces it.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from palpate.bem import BoundarySurface, PressureDisc, disc_displacement, disc_potentials
-from palpate.checkpoints import Cache
+from palpate.checkpoints import Cache, Memory, content_digest
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import FitSettings, ProbeObservations, joint_minimum
 from palpate.geometry import (
@@ -23,6 +23,7 @@ from palpate.geometry import (
     interpolation_matrix,
     unit_normals,
 )
+from palpate.pipeline.model.supports import session_surface
 from palpate.pipeline.observations import ungraded_observations
 from palpate.probe import LocalSurface, local_surface, tool_contact
 from palpate.progress import Progress, part_of
@@ -32,6 +33,9 @@ from palpate.shapes import Points, Vector3, Vertices
 # Contact radii vary only with the cube root of the modulus, so they converge with the constants.
 # The relative tolerance is a tenth of the prior standard deviation of such a radius.
 _MOST_CONTACT_ROUNDS, _CONTACT_TOLERANCE = 8, 0.005
+# A contact that changes by less stays as it is, with what the model says of it: it moves the
+# modulus by as much at most.
+_STILL, _SETTLED = 1e-3, "settled contacts"
 # Slopes of the fitted modulus over the one that radii were computed for, beyond which a secant step
 # is no longer trusted.
 _SECANT_SLOPES = (-1.0, 0.8)
@@ -57,7 +61,7 @@ def with_consistent_contacts(
     cache: Cache | None,
     displaced: bool,
     progress: Progress,
-) -> tuple[Session, list[ProbeObservations]]:
+) -> tuple[Session, list[ProbeObservations], Session]:
     """A session with contacts of its tools that are consistent with the constants fitted to it.
 
     Parameters
@@ -70,14 +74,18 @@ def with_consistent_contacts(
 
     Returns
     -------
-    Session
-    list of ProbeObservations       with the model of the mesh before grading
+    Session                         with contacts to `_CONTACT_TOLERANCE`
+    list of ProbeObservations       of that, with the model of the mesh before grading
+    Session                         with the contacts that follow from these, a step nearer
 
     Raises
     ------
     NotConvergedError               force and displacements do not belong together
     """
     model, fitted, taken = None, list[float](), list[float]()
+    surface, given = session_surface(session), session.probings
+    earlier = cache.get(_SETTLED) if isinstance(cache, Memory) else None
+    session, is_new = (session, True) if earlier is None else earlier.start(session)
     for iteration in range(_MOST_CONTACT_ROUNDS):
         # The number of iterations is not known: each takes half of the remaining progress.
         model, observations = ungraded_observations(
@@ -99,17 +107,23 @@ def with_consistent_contacts(
             theta[:2] = best.theta[:2]
             moved = (best.problem.predicted_surface(k, theta) for k in range(len(observations)))
             known = [surface for surface in moved if surface is not None]
-            updated = displaced_contacts(session, model.system.surface, known, **constants)
+            updated = displaced_contacts(session, surface, known, **constants)
         updated = with_contact_radii(updated, **constants)
         change = largest_change(session, updated)
+        updated = _changed_where_much(session, updated)
         # Responses of all vertices are large, and not needed any more.
         observations = [replace(probe, vertices=None) for probe in observations]
-        if change < _CONTACT_TOLERANCE:
-            return session, observations
+        # Where a contact starts is not where the object moves it.
+        if change < _CONTACT_TOLERANCE and not (is_new and iteration == 0):
+            if isinstance(cache, Memory):
+                contacts = [probing.contact for probing in updated.probings]
+                digests = map(content_digest, given)
+                cache[_SETTLED] = _Settled(dict(zip(digests, contacts, strict=True)), constants)
+            return session, observations, updated
         previous, session = session, updated
     # What Poisson's ratio that hardly counts leaves of a change is within the error of the radii.
     if change < previous.errors.touched_radius:
-        return previous, observations
+        return previous, observations, session
     raise NotConvergedError(
         f"what the tools touch still changes after {_MOST_CONTACT_ROUNDS} fits: the"
         " force and the displacements do not belong together; check tool_radius and the unit of"
@@ -196,23 +210,24 @@ def settled_contact(
 
 
 def largest_change(before: Session, after: Session) -> float:
-    """Largest change of a contact between two versions of a session: of the spread of its pressure,
-    over it, of its point, over `_POINT_SHARE` of the radius, or of its outward traction [-]; 1
-    where the traction was not known before."""
-    changes = [0.0]
-    for earlier, later in zip(before.probings, after.probings, strict=True):
-        old, new = earlier.contact, later.contact
-        if old.radius is None or new.radius is None:
-            continue
-        shift = float(np.linalg.norm(new.point - old.point))
-        changes.append(shift / (_POINT_SHARE * new.radius))
-        if new.traction is None:
-            continue
-        if old.traction is None:
-            return 1.0
-        ratio = old.radius * old.traction.spread / (new.radius * new.traction.spread)
-        changes += [abs(ratio - 1.0), abs(old.traction.lever - new.traction.lever)]
-    return max(changes)
+    """Largest `_change` of a contact between two versions of a session [-]."""
+    pairs = zip(before.probings, after.probings, strict=True)
+    return max(_change(earlier.contact, later.contact) for earlier, later in pairs)
+
+
+def _change(old: Contact, new: Contact) -> float:
+    """Change of a contact: of the spread of its pressure, over it, of its point, over
+    `_POINT_SHARE` of the radius, or of its outward traction [-], the largest of these; 1 where the
+    traction was not known before."""
+    if old.radius is None or new.radius is None:
+        return 0.0
+    shift = float(np.linalg.norm(new.point - old.point)) / (_POINT_SHARE * new.radius)
+    if new.traction is None:
+        return shift
+    if old.traction is None:
+        return 1.0
+    ratio = old.radius * old.traction.spread / (new.radius * new.traction.spread)
+    return max(shift, abs(ratio - 1.0), abs(old.traction.lever - new.traction.lever))
 
 
 def displaced_contacts(
@@ -256,6 +271,42 @@ def displaced_contacts(
             probing = replace(probing, contact=replace(contact, point=point, first_point=start))
         probings.append(probing)
     return replace(session, probings=tuple(probings))
+
+
+def _changed_where_much(before: Session, after: Session) -> Session:
+    """The later version of a session, with contacts as they were where they hardly changed."""
+    return replace(
+        after,
+        probings=tuple(
+            old if _change(old.contact, new.contact) < _STILL else new
+            for old, new in zip(before.probings, after.probings, strict=True)
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Settled:
+    """What fits of a session's first probings ended with.
+
+    Attributes
+    ----------
+    contacts : digest -> Contact    by the probings as they were given
+    constants : name -> float       of which these are the contacts
+    """
+
+    contacts: dict[str, Contact]
+    constants: dict[str, float]
+
+    def start(self, session: Session) -> tuple[Session, bool]:
+        """A session with its contacts from these, or, of further probings, with radii that follow
+        from the same constants; whether there are such probings."""
+        digests = [content_digest(probing) for probing in session.probings]
+        settled = with_contact_radii(session, **self.constants)
+        probings = tuple(
+            replace(probing, contact=self.contacts.get(digest, probing.contact))
+            for digest, probing in zip(digests, settled.probings, strict=True)
+        )
+        return replace(session, probings=probings), not self.contacts.keys() >= set(digests)
 
 
 def _consistent_modulus(taken: Sequence[float], fitted: Sequence[float]) -> float:

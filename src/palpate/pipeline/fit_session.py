@@ -37,6 +37,7 @@ from palpate.pipeline.observations import (
     UNGRADED_RESIDUAL,
     compared_meshes,
     converged_observations,
+    made_once,
     reduced_model_of,
     ungraded_model,
     ungraded_observations,
@@ -262,10 +263,11 @@ def _on_ungraded_mesh(
     progress: Progress,
 ) -> tuple[Session, list[ProbeObservations]]:
     """A session with the contacts of its tools, `displaced` with the object or where they touched
-    first, and its observations with the model of the mesh before grading."""
+    first, and its observations with the model of the mesh before grading, where contacts that are
+    within a tolerance of these will do."""
     first_part = part_of(progress, 0.0, _OWN)
     if has_tools(session):
-        session, observations = with_consistent_contacts(
+        session, observations, settled = with_consistent_contacts(
             session,
             settings=settings,
             cache=cache,
@@ -277,7 +279,8 @@ def _on_ungraded_mesh(
         observations = ungraded_observations(
             session, settings=settings, cache=cache, progress=first_part
         )[1]
-    return session, with_mesh_steps(
+        settled = session
+    return settled, with_mesh_steps(
         session, observations, settings=settings, cache=cache,
         progress=part_of(progress, _OWN, 1.0),
     )  # fmt: skip
@@ -294,14 +297,27 @@ def _on_graded_mesh(
     integrals were done. The model itself is let go: the observations have taken up what it knows of
     loads, which of many pushes is large."""
     integrals = part_of(progress, _GRADED, _ASSEMBLED)
-    model = make_object_model(session, cache=cache, progress=integrals)
+    coarser_of = {probe.name: probe for probe in coarser}
     assembled = time.perf_counter()
-    progress("factorisation", _ASSEMBLED)
-    observations = converged_observations(
-        session, model, settings=settings, coarser=coarser, with_surface=True
-    )
-    pulled = map(model.pulled_translations, range(len(session.probings)))
-    return [(model.supports, each) for each in pulled], observations, assembled
+
+    def make(new: Session) -> list[tuple[_Moving, ProbeObservations]]:
+        nonlocal assembled
+        model = make_object_model(new, cache=cache, progress=integrals)
+        assembled = time.perf_counter()
+        progress("factorisation", _ASSEMBLED)
+        observations = converged_observations(
+            new,
+            model,
+            settings=settings,
+            coarser=[coarser_of[probing.name] for probing in new.probings],
+            with_surface=True,
+        )
+        pulled = map(model.pulled_translations, range(len(new.probings)))
+        moving = [(model.supports, translations) for translations in pulled]
+        return list(zip(moving, observations, strict=True))
+
+    made = made_once(session, ("graded", settings), make, cache)
+    return [moving for moving, _ in made], [probe for _, probe in made], assembled
 
 
 def _probe_estimates(moving: Sequence[_Moving], result: FitResult) -> tuple[ProbeEstimate, ...]:

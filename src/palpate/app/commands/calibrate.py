@@ -359,8 +359,8 @@ def _lengths(calibration: Calibration, targets: list[Target], table: str | None)
     view = table or middle_view(calibration)
     try:
         sigma = length_sigma(calibration, targets, view)
-    except CalibrationError as error:
-        return f"{error}\n"
+    except CalibrationError as unseen:
+        return f"{unseen}\n"
     text = (
         f"Lengths on an object where the board of view '{view}' was are known to"
         f" {100 * sigma:.2g} % of the board's own\n"
