@@ -43,16 +43,85 @@ class SurfaceMap:
     triangle: Int[np.ndarray, "rows columns"]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelRays:
+    """Rays of all pixel centres of one camera.
+
+    Attributes
+    ----------
+    camera : Camera
+    grid : (2, rows, columns) float [-]         where they meet its plane z = 1 (`pixel_grid`)
+    bounds : (2, 2, bands, tiles) float [-]     minimum and maximum x and y of every tile of pixels
+    """
+
+    camera: Camera
+    grid: Float[np.ndarray, "2 rows columns"]
+    bounds: Float[np.ndarray, "2 2 bands tiles"]
+
+    def meet(self, vertices: Vertices, triangles: Triangles) -> SurfaceMap:
+        """The nearest hit of every ray with a triangle surface.
+
+        The surface may be open or closed; both sides are visible. The result does not depend on the
+        number of threads.
+
+        Parameters
+        ----------
+        vertices : (v, 3) float [m]     object frame
+        triangles : (m, 3) int
+
+        Returns
+        -------
+        SurfaceMap
+
+        Raises
+        ------
+        CalibrationError                part of the surface is not in front of the camera
+        """
+        pose, shape = self.camera.T_camera_object, self.grid.shape[1:]
+        in_camera = vertices @ pose[:3, :3].T + pose[:3, 3]
+        _check_in_front(self.camera, in_camera[:, 2], triangles)
+        with np.errstate(divide="ignore", invalid="ignore"):  # vertices of no triangle: anywhere
+            flat = in_camera / in_camera[:, 2:]
+            flat[:, 2] = 1.0 / in_camera[:, 2]
+        corner = flat[triangles]
+        low, high = corner[..., :2].min(axis=1).T, corner[..., :2].max(axis=1).T
+        rim = _RIM * (high - low)
+        boxes = np.stack([low - rim, high + rim])
+        point, triangle = np.empty((*shape, 3)), np.full(shape, -1)
+        in_threads(
+            _hit_bands, self.bounds.shape[2], self.grid, self.bounds, corner, boxes,
+            np.ascontiguousarray(pose), point, triangle,
+        )  # fmt: skip
+        return SurfaceMap(point, triangle)
+
+
+def pixel_rays(camera: Camera, shape: tuple[int, int]) -> PixelRays:
+    """The rays of every pixel centre, which serve all surfaces before a camera.
+
+    Parameters
+    ----------
+    camera : Camera
+    shape : (rows, columns) [px]    of its pictures
+
+    Returns
+    -------
+    PixelRays
+
+    Raises
+    ------
+    InputError                      a shape that contradicts the camera's size
+    """
+    grid = pixel_grid(camera, shape)
+    return PixelRays(camera, grid, np.stack([_tiled(np.fmin, grid), _tiled(np.fmax, grid)]))
+
+
 def surface_map(
     camera: Camera,
     shape: tuple[int, int],
     vertices: Vertices,
     triangles: Triangles,
 ) -> SurfaceMap:
-    """Intersect the ray of every pixel centre with a triangle surface; the nearest hit is kept.
-
-    The surface may be open or closed; both sides are visible. The result does not depend on the
-    number of threads.
+    """Intersect the ray of every pixel centre with a triangle surface (`PixelRays.meet`).
 
     Parameters
     ----------
@@ -67,27 +136,9 @@ def surface_map(
 
     Raises
     ------
-    InputError                      a shape that contradicts the camera's size
-    CalibrationError                part of the surface is not in front of the camera
+    InputError, CalibrationError    as in `pixel_rays`, `PixelRays.meet`
     """
-    grid = pixel_grid(camera, shape)
-    pose = camera.T_camera_object
-    in_camera = vertices @ pose[:3, :3].T + pose[:3, 3]
-    _check_in_front(camera, in_camera[:, 2], triangles)
-    with np.errstate(divide="ignore", invalid="ignore"):  # vertices of no triangle may be anywhere
-        flat = in_camera / in_camera[:, 2:]
-        flat[:, 2] = 1.0 / in_camera[:, 2]
-    corner = flat[triangles]
-    low, high = corner[..., :2].min(axis=1).T, corner[..., :2].max(axis=1).T
-    rim = _RIM * (high - low)
-    boxes = np.stack([low - rim, high + rim])
-    inverse_depth, triangle = np.zeros(shape), np.full(shape, -1)
-    bounds = np.stack([_tiled(np.fmin, grid), _tiled(np.fmax, grid)])
-    in_threads(_hit_bands, bounds.shape[2], grid, bounds, corner, boxes, inverse_depth, triangle)
-    with np.errstate(divide="ignore"):
-        depth = np.where(triangle >= 0, 1.0 / inverse_depth, np.nan)
-    hit = np.stack([grid[0] * depth, grid[1] * depth, depth], axis=-1)
-    return SurfaceMap((hit - pose[:3, 3]) @ pose[:3, :3], triangle)
+    return pixel_rays(camera, shape).meet(vertices, triangles)
 
 
 def _tiled(
@@ -161,16 +212,17 @@ def _depth_at(
 
 # No fastmath: NaN marks pixels without a ray.
 @njit(cache=True, nogil=True, error_model="numpy")
-def _hit_bands(begin, end, grid, bounds, corner, boxes, inverse_depth, triangle):
-    """Inverse depth and triangle of the nearest hit of every pixel, in bands of one tile's height.
+def _hit_bands(begin, end, grid, bounds, corner, boxes, pose, point, triangle):
+    """Point and triangle of the nearest hit of every pixel, in bands of one tile's height.
 
     `bounds` (2, 2, bands, tiles): minimum and maximum x and y of each tile; `corner` (m, 3, 3):
-    x / z, y / z and 1 / z of each vertex; `boxes` (2, 2, m): minimum and maximum x and y.
+    x / z, y / z and 1 / z of each vertex; `boxes` (2, 2, m): minimum and maximum x and y; `pose`
+    (4, 4): `T_camera_object`.
     """
     tiles = bounds.shape[3]
     for band in range(begin, end):
         part = grid[:, band * _TILE : (band + 1) * _TILE]
-        depth_part = inverse_depth[band * _TILE : (band + 1) * _TILE]
+        depth_part = np.zeros(part.shape[1:])
         triangle_part = triangle[band * _TILE : (band + 1) * _TILE]
         whole = np.empty((2, 2))
         for a in range(2):
@@ -185,6 +237,24 @@ def _hit_bands(begin, end, grid, bounds, corner, boxes, inverse_depth, triangle)
                 left = tile * _TILE
                 right = min(grid.shape[2], left + _TILE)
                 _hit_kernel(part, left, right, corner[e], e, depth_part, triangle_part)
+        point_part = point[band * _TILE : (band + 1) * _TILE]
+        _place_hits(part, depth_part, triangle_part, pose, point_part)
+
+
+@njit(cache=True, error_model="numpy")
+def _place_hits(grid, inverse_depth, triangle, pose, point):
+    """Points of the object frame at known inverse depths; NaN where nothing is hit."""
+    for i in range(triangle.shape[0]):
+        for j in range(triangle.shape[1]):
+            if triangle[i, j] < 0:
+                point[i, j] = np.nan
+                continue
+            depth = 1.0 / inverse_depth[i, j]
+            x = grid[0, i, j] * depth - pose[0, 3]
+            y = grid[1, i, j] * depth - pose[1, 3]
+            z = depth - pose[2, 3]
+            for a in range(3):
+                point[i, j, a] = x * pose[0, a] + y * pose[1, a] + z * pose[2, a]
 
 
 @njit(cache=True, error_model="numpy", inline="always")

@@ -4,7 +4,7 @@ Every later instant is matched with the first one, so that errors do not accumul
 starts from the last motion found. Where the picture has become too different from the first one,
 the motion via the previous instant is used instead: a surface that has moved far, or whose
 illumination has changed, still resembles its last picture. Errors of such motions accumulate, so
-the drift is measured on points that are matched both ways.
+the drift is measured on the points around, which are matched both ways.
 """
 
 from collections.abc import Sequence
@@ -14,6 +14,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from palpate.arrays import with_rows
 from palpate.errors import InputError
@@ -22,7 +23,7 @@ from palpate.machine import check_memory_for, usable_memory
 from palpate.records import Rig
 from palpate.shapes import Flags, Points, Triangles, Vertices
 from palpate.threads import map_in_threads
-from palpate.vision.joint.match import accepted_flow, match_scene
+from palpate.vision.joint.match import BEND_REACH, accepted_flow, match_scene
 from palpate.vision.joint.sharpness import equally_sharp
 from palpate.vision.joint.vertices import vertex_displacement, with_average
 from palpate.vision.matching.dense_flow import dense_start
@@ -37,8 +38,6 @@ from palpate.vision.triangulation import triangulate
 # Median displacement gradient (Frobenius norm) above which pictures are matched unsmoothed: the
 # low-pass is fixed to the pixels and does not rotate or stretch with the surface.
 _MAX_SMOOTHED_GRADIENT = 0.03
-# One in this many points is matched via the previous instant in any case, to measure the drift.
-_DRIFT_SAMPLE = 8
 # The dense start is accurate to about half a pixel; where the cameras contradict each other by more
 # than four times that, it is wrong.
 _START_ERROR_PX = 0.5
@@ -248,14 +247,18 @@ class JointFlow:
         direct: RangeFlow,
         motion: Float[np.ndarray, "n 6 3"],
     ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
-        """Complete the direct flow and motion by those via the last instant."""
-        scene, followed, missing = state.scene, is_valid(last), ~is_valid(direct)
-        sample = np.arange(len(missing)) % _DRIFT_SAMPLE == 0
-        rows = np.flatnonzero(followed & (missing | sample))
+        """Complete the direct flow and motion by those via the last instant. Points nearby are
+        matched that way, too: for the field among neighbours, and for the drift."""
+        scene, followed = state.scene, is_valid(last)
+        missing = scene.point[followed & ~is_valid(direct)]
+        away = cKDTree(missing).query(scene.point)[0] / float(np.median(scene.half_window))
+        rows = np.flatnonzero(followed & (away <= BEND_REACH))
         earlier = np.zeros_like(motion)
         earlier[:, 0] = last.displacement
         earlier[:, 1:3] = last.gradient * scene.half_window[:, None, None]
-        there = scene_rows(advanced_scene(scene, state.grey, earlier, followed), rows)
+        # The surface under their windows, and some more.
+        shown = followed & (away <= 2.0 * BEND_REACH)
+        there = scene_rows(advanced_scene(scene, state.grey, earlier, shown), rows)
         ahead = np.zeros((len(rows), 6, 3))
         ahead[:, 0] = start[rows, 0] - earlier[rows, 0]
         further, after = self._flow(there, now, ahead)

@@ -14,7 +14,7 @@ from palpate.vision.normalisation import point_spread_variance
 from palpate.vision.projection import packed_rig, pixel_sizes
 from palpate.vision.range_flow import grid_points, grid_triangles
 from palpate.vision.spline import SplinePicture, spline_pictures
-from palpate.vision.surface_map import SurfaceMap, surface_map, visible
+from palpate.vision.surface_map import PixelRays, SurfaceMap, pixel_rays, visible
 
 # Pixels this close to an outline mix object and background, by the support of the pixel response
 # and of the spline.
@@ -33,6 +33,7 @@ class Scene:
     Attributes
     ----------
     rig : Rig
+    rays : tuple of c PixelRays         of its cameras
     packed : (c, 25) float              the cameras for the kernels, see `packed_camera`
     grey : tuple of c (rows, columns) float [grey levels]   the original pictures
     pictures : tuple of c SplinePicture     the same, smoothed, prepared for matching
@@ -51,6 +52,7 @@ class Scene:
     """
 
     rig: Rig
+    rays: tuple[PixelRays, ...]
     packed: Float[np.ndarray, "c 25"]
     grey: tuple[Float[np.ndarray, "_ _"], ...]
     pictures: tuple[SplinePicture, ...]
@@ -95,7 +97,8 @@ def make_scene(
     ------
     InputError, CalibrationError    as in `surface_map`
     """
-    maps, views = _views(rig, pictures, vertices, triangles, smoothing)
+    rays = tuple(map(pixel_rays, rig.cameras, (picture.shape for picture in pictures)))
+    maps, views = _views(rays, pictures, vertices, triangles, smoothing)
     shown = views["interior"][rig.reference] > 0.0
     pixel, point, tangent = grid_points(maps[rig.reference], shown, vertices, triangles, step)
     half_window = (subset // 2) * pixel_sizes(rig.cameras[rig.reference], point)
@@ -103,6 +106,7 @@ def make_scene(
     tolerance = float(np.median(half_window)) if len(half_window) else 0.0
     return Scene(
         rig=rig,
+        rays=rays,
         packed=packed_rig(rig),
         pixel=pixel.astype(np.float64),
         point=point,
@@ -144,7 +148,7 @@ def advanced_scene(
     moved = scene.point + np.where(valid[:, None], motion[:, 0], 0.0)
     rows = np.flatnonzero(valid)
     triangles = grid_triangles(scene.pixel[rows], scene.step)
-    maps, views = _views(scene.rig, grey, moved[rows], triangles, scene.smoothing)
+    maps, views = _views(scene.rays, grey, moved[rows], triangles, scene.smoothing)
     seen = _seen(scene.rig, maps, moved, float(np.median(scene.half_window)))
     return replace(
         scene,
@@ -200,22 +204,19 @@ def interior_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "r
 
 
 def _views(
-    rig: Rig,
+    rays: Sequence[PixelRays],
     pictures: Sequence[Float[np.ndarray, "_ _"]],
     vertices: Vertices,
     triangles: Triangles,
     smoothing: float,
 ) -> tuple[list[SurfaceMap], dict[str, Any]]:
     """Surface maps of all cameras, and the fields of a `Scene` made from them and the pictures."""
-    maps = [
-        surface_map(camera, picture.shape, vertices, triangles)
-        for camera, picture in zip(rig.cameras, pictures, strict=True)
-    ]
+    maps = [own.meet(vertices, triangles) for own in rays]
     return maps, {
         "grey": tuple(pictures),
         "pictures": spline_pictures(pictures, smoothing),
         "surface": tuple(np.ascontiguousarray(seen.point, dtype=np.float32) for seen in maps),
-        "interior": tuple(map(interior_pixels, maps, rig.cameras)),
+        "interior": tuple(map(interior_pixels, maps, (own.camera for own in rays))),
     }
 
 
