@@ -11,11 +11,14 @@ processing, IEEE Signal Processing Magazine 16(6), 1999).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 from numba import njit
+
+from palpate.threads import map_in_threads
 
 # Filters that take a spline's coefficients to its value and its derivative at the pixel centres.
 _VALUE = np.array([1.0, 26.0, 66.0, 26.0, 1.0]) / 120.0
@@ -88,7 +91,9 @@ def make_spline_picture(
     coefficients = cv2.sepFilter2D(grey, -1, _COEFFICIENT, _COEFFICIENT)
     along_column = cv2.sepFilter2D(coefficients, -1, _SLOPE, _VALUE)
     along_row = cv2.sepFilter2D(coefficients, -1, _VALUE, _SLOPE)
-    padded = np.pad(coefficients, PADDING, mode="reflect")
+    padded = cv2.copyMakeBorder(
+        coefficients, PADDING, PADDING, PADDING, PADDING, cv2.BORDER_REFLECT_101
+    )
     return SplinePicture(grey, along_column, along_row, padded)
 
 
@@ -106,7 +111,7 @@ def spline_pictures(
     -------
     tuple of c SplinePicture
     """
-    return tuple(make_spline_picture(picture, smoothing=smoothing) for picture in pictures)
+    return tuple(map_in_threads(partial(make_spline_picture, smoothing=smoothing), pictures))
 
 
 def smoothing_gain(smoothing: float) -> float:

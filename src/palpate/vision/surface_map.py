@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 from numba import njit
-from scipy.ndimage import map_coordinates
 
 from palpate.errors import CalibrationError
 from palpate.records import Camera
@@ -203,11 +202,17 @@ def _depth_at(
 
     Inverse depth is interpolated, because it is linear over a plane.
     """
-    toward = camera.T_camera_object[2]
-    depth = surface.point @ toward[:3] + toward[3]
-    inverse = np.where(surface.triangle >= 0, 1.0 / depth, 0.0)
+    toward, total = camera.T_camera_object[2], np.zeros(len(pixel))
+    first = pixel.astype(np.int64)
+    second = np.minimum(first + 1, np.array(surface.triangle.shape[::-1]) - 1)
+    share = pixel - first
+    for column, along in ((first[:, 0], 1.0 - share[:, 0]), (second[:, 0], share[:, 0])):
+        for row, down in ((first[:, 1], 1.0 - share[:, 1]), (second[:, 1], share[:, 1])):
+            depth = surface.point[row, column] @ toward[:3] + toward[3]
+            hit = surface.triangle[row, column] >= 0
+            total += along * down * np.where(hit, 1.0 / depth, 0.0)
     with np.errstate(divide="ignore"):
-        return 1.0 / map_coordinates(inverse, pixel[:, ::-1].T, order=1, mode="nearest")
+        return 1.0 / total
 
 
 # No fastmath: NaN marks pixels without a ray.

@@ -453,9 +453,8 @@ def _gradient_noise_inflation(scene: Scene, noise: float) -> Float[np.ndarray, "
 
     Source: Fuller, Measurement Error Models (1987), section 1.2, with p the reliability ratio.
     """
-    picture = scene.pictures[scene.rig.reference]
-    square = picture.along_column**2 + picture.along_row**2
-    column, row = scene.pixel.astype(np.int64).T
+    picture, (row, column), shown = scene.pictures[scene.rig.reference], *_around(scene)
+    square = picture.along_column[shown] ** 2 + picture.along_row[shown] ** 2
     mean = moments(square, scene.subset)[0][row, column].astype(np.float64)
     true = mean - 2.0 * (slope_gain(scene.smoothing) * noise) ** 2
     return (mean / np.maximum(true, _MIN_RELIABILITY * mean)) ** 2
@@ -477,9 +476,20 @@ def _fraction_in_blocks(scene: Scene) -> float:
 
 def _contrast(scene: Scene) -> Float[np.ndarray, " n"]:
     """Standard deviation of the reference camera's window around each point [grey levels]."""
-    grey = scene.pictures[scene.rig.reference].grey.astype(np.float64)
-    column, row = scene.pixel.astype(np.int64).T
+    (row, column), shown = _around(scene)
+    grey = scene.pictures[scene.rig.reference].grey[shown].astype(np.float64)
     return np.sqrt(moments(grey, scene.subset)[1])[row, column]
+
+
+def _around(scene: Scene) -> tuple[Int[np.ndarray, "2 n"], tuple[slice, slice]]:
+    """Rows and columns of the points within the part of the reference camera's picture that their
+    windows cover, and that part."""
+    place, shape = scene.pixel.astype(np.int64).T[::-1], scene.grey[scene.rig.reference].shape
+    if place.size == 0:
+        return place, (slice(None), slice(None))
+    low = np.maximum(place.min(axis=1) - scene.subset, 0)
+    row, column = zip(low, np.minimum(place.max(axis=1) + scene.subset + 1, shape), strict=True)
+    return place - low[:, None], (slice(*row), slice(*column))
 
 
 def _lateral(scene: Scene, covariance: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:

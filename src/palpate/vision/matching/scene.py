@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numba import njit
 
 from palpate.records import Camera, Rig
 from palpate.shapes import Points, PointScalars, Triangles, Vertices
+from palpate.threads import in_threads
 from palpate.vision.normalisation import point_spread_variance
 from palpate.vision.projection import packed_rig, pixel_sizes
 from palpate.vision.range_flow import grid_points, grid_triangles
@@ -187,20 +189,42 @@ def interior_pixels(surface: SurfaceMap, camera: Camera) -> Float[np.ndarray, "r
     -------
     (rows, columns) float32         weight of each pixel in a window
     """
-    pose = camera.T_camera_object
-    depth = surface.point @ pose[2, :3] + pose[2, 3]
-    allowed = _MAX_DEPTH_JUMP_PX * depth / camera.matrix[0, 0]
-    shown = (surface.triangle >= 0).astype(np.uint8)
-    for axis in (0, 1):
-        with np.errstate(invalid="ignore"):
-            jump = np.abs(np.diff(depth, axis=axis)) > np.delete(allowed, 0, axis=axis)
-        near, far = [slice(None)] * 2, [slice(None)] * 2
-        near[axis], far[axis] = slice(None, -1), slice(1, None)
-        shown[tuple(near)][jump] = 0
-        shown[tuple(far)][jump] = 0
+    toward = np.ascontiguousarray(camera.T_camera_object[2])
+    jump = _MAX_DEPTH_JUMP_PX / camera.matrix[0, 0]
+    shown = np.empty(surface.triangle.shape, dtype=np.uint8)
+    in_threads(_unbroken, len(shown), surface.point, surface.triangle, toward, jump, shown)
     around = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), dtype=np.uint8)
     eroded = cv2.erode(shown, around, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return eroded.astype(np.float32)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _unbroken(begin, end, point, triangle, toward, jump, shown):
+    """1 where a pixel of some rows shows the surface, and at no other depth than the pixels beside
+    it, else 0.
+
+    `toward` (4,): depth of a point of the object frame; `jump`: largest difference of two depths
+    over the one to the right or below.
+    """
+    rows, columns = triangle.shape
+    for i in range(begin, end):
+        for j in range(columns):
+            shown[i, j] = triangle[i, j] >= 0
+            if triangle[i, j] < 0:
+                continue
+            here = _depth(point[i, j], toward)
+            for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+                k, m = i + down, j + right
+                if 0 <= k < rows and 0 <= m < columns and triangle[k, m] >= 0:
+                    there = _depth(point[k, m], toward)
+                    later = there if down + right > 0 else here
+                    if abs(there - here) > jump * later:
+                        shown[i, j] = 0
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _depth(point, toward):
+    return point[0] * toward[0] + point[1] * toward[1] + point[2] * toward[2] + toward[3]
 
 
 def _views(
