@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.figure import LIVE, Figure
 from benchmarks.flow_time import FOLDER, NAMES
 from benchmarks.live_films import Counting, measure_films
-from benchmarks.live_memory import HOUR, measure as measure_memory
+from benchmarks.live_memory import HOUR, measure as measure_memory, pushes as pressed_places
 from benchmarks.options import Options
 from palpate.bench import (
     Bench,
@@ -27,12 +27,10 @@ from palpate.bench import (
     wanted_precision,
 )
 from palpate.checkpoints import Memory
-from palpate.lab import built_in, choose_variant, make_session, read_lab_config
 from palpate.pipeline import (
     Material,
     NextProbings,
     fit_session,
-    with_pictures_measured,
 )
 from palpate.records import Estimate, Rig, read_rig, read_session
 from palpate.shapes import Vector3
@@ -45,11 +43,13 @@ _COARSE = 9
 # Instants of one push.
 _SERIES = tuple(f"n05_{k}" for k in range(1, 6))
 _UNTIL, _MOST = "E 3 %", 8
+# Pushes after which a fit is timed a second time.
+_MANY = 20
 
 
 def measure(options: Options) -> list[Figure]:
     """Latency, instants per second, constants after a push; pushes and questions."""
-    figures = [*_flow_figures(), _constants_figure()]
+    figures = [*_flow_figures(), *_constants_figures()]
     if options.quick:
         return figures
     return [*figures, *_push_figures(), *_hour_figures(), *measure_films()]
@@ -108,28 +108,29 @@ def _dis_seconds(first: tuple[np.ndarray, ...], second: tuple[np.ndarray, ...]) 
     return time.perf_counter() - begun
 
 
-def _constants_figure() -> Figure:
-    """A fit after the third push on the demo's half ball, its factors kept from before."""
-    memory, seconds = Memory(), []
-    with tempfile.TemporaryDirectory() as folder:
-        demo = read_lab_config(built_in()["demo"])
-        make_session(demo, Path(folder), variant=choose_variant())
-        session = with_pictures_measured(read_session(folder))
-        for count in (1, 2, 3):
-            given = replace(session, probings=session.probings[:count])
-            begun = time.perf_counter()
-            fit_session(given, cache=memory, material=Material.AUTO)
-            seconds.append(time.perf_counter() - begun)
+def _constants_figures() -> list[Figure]:
+    """A fit after the third and the twentieth push on the demo's half ball, with what fits of the
+    earlier ones kept in memory."""
     rig = read_rig(FOLDER / "rig.toml")
     patterns = [f"images/{name}_{{camera}}.png" for name in ("rest", NAMES[0])]
     views = [read_pictures(rig, pattern, folder=FOLDER, what=pattern).grey for pattern in patterns]
     dis = float(np.median([_dis_seconds(*views) for _ in range(10)]))
-    return Figure(
-        LIVE, f"constants after a push, {len(session.mesh.vertices)} vertices", seconds[-1], "s",
-        note=f"third push, with the body's factors kept from the first ({seconds[0]:.1f} s);"
-        f" without its flow; {seconds[-1] / dis:.0f} times OpenCV's DIS flow (medium) of three"
-        f" pictures of 640 x 480 in the same run, {dis:.3f} s",
-    )  # fmt: skip
+    session, figures = pressed_places(_MANY), []
+    for begun_with, count, which in ((1, 3, "third"), (_MANY - 1, _MANY, "twentieth")):
+        memory, seconds = Memory(), []
+        for pushes in range(begun_with, count + 1):
+            given = replace(session, probings=session.probings[:pushes])
+            begun = time.perf_counter()
+            fit_session(given, cache=memory, material=Material.AUTO)
+            seconds.append(time.perf_counter() - begun)
+        note = (
+            f"its model alone is new; {begun_with} at once {seconds[0]:.1f} s; without its flow;"
+            f" {seconds[-1] / dis:.0f} times OpenCV's DIS flow (medium) of three pictures of"
+            f" 640 x 480 in the same run, {dis:.3f} s"
+        )
+        name = f"constants after the {which} push, {len(session.mesh.vertices)} vertices"
+        figures.append(Figure(LIVE, name, seconds[-1], "s", note=note))
+    return figures
 
 
 def _push_figures() -> list[Figure]:

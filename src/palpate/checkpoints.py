@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum, EnumType
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -34,7 +35,20 @@ _MOST_BYTES, _MOST_FRACTION = 16 * 2**30, 0.25
 
 
 class Memory(dict[str, Any]):
-    """Stands in place of a folder: keeps parts for as long as it is held, as they are."""
+    """Stands in place of a folder: keeps parts for as long as it is held, as they are.
+
+    Parameters
+    ----------
+    parts : mapping of names to parts   known already, such as those of another memory
+
+    Attributes
+    ----------
+    pushes : dict                       what is kept of single pushes for the next fit, by its kind
+    """
+
+    def __init__(self, parts: Mapping[str, Any] = MappingProxyType({})) -> None:
+        super().__init__(parts)
+        self.pushes: dict[str, Any] = {}
 
 
 # Where parts are kept.

@@ -45,7 +45,8 @@ def test_constants_are_those_of_the_body(run):
 
 @pytest.mark.slow
 def test_the_fit_of_the_folder_has_the_same_numbers(run):
-    folder, _, estimate = run
+    folder, script, estimate = run
+    assert sum(text.startswith("All 2 pushes: ") for text in script.told) == 1
     again = palpate.fit(folder)
     for name in ("young_modulus", "shear_modulus", "poisson_ratio"):
         assert getattr(again.estimate, name) == getattr(estimate, name)

@@ -264,10 +264,14 @@ class LiveSession:
         self._motions = measure_pictures(session, known=self._motions)
         return with_motions(session, self._motions)
 
-    def fit(self, measured: Session, *, progress: Progress = silent) -> FittedBody:
-        """The constants, as `palpate fit` finds them."""
+    def fit(
+        self, measured: Session, *, at_once: bool = False, progress: Progress = silent
+    ) -> FittedBody:
+        """The constants: of all pushes at once as `palpate fit` finds them; after a push more, with
+        what is known of the others, within a twentieth of a standard deviation of these."""
+        cache = Memory(self._cache) if at_once and isinstance(self._cache, Memory) else self._cache
         return fitted_body(
-            fit_session(measured, cache=self._cache, material=Material.AUTO, progress=progress)
+            fit_session(measured, cache=cache, material=Material.AUTO, progress=progress)
         )
 
     def plan(

@@ -164,8 +164,21 @@ def measure(
         again, folder = further
         return measure(again, questions, folder, until=until, pushes=pushes, cache=cache)
     if estimate is not None:
+        estimate = _of_all(session, estimate, questions)
         questions.tell(f"Session in {folder}; a report: palpate fit {folder}")
     return estimate
+
+
+def _of_all(session: LiveSession, last: Estimate, questions: Questions) -> Estimate:
+    """The constants of all pushes at once, where there are several and the person waits."""
+    if session.count == 1:
+        return last
+    with suppress(Stopped):
+        with questions.working() as progress:
+            fitted = session.fit(session.measured(), at_once=True, progress=progress)
+        last = fitted.estimate
+        questions.tell(f"All {session.count} pushes: {verdict_text(last)}")
+    return last
 
 
 def _calibrate(bench: Bench, questions: Questions, folder: Path, wanted: float) -> None:

@@ -83,8 +83,8 @@ def with_consistent_contacts(
     NotConvergedError               force and displacements do not belong together
     """
     model, fitted, taken = None, list[float](), list[float]()
-    surface, given = session_surface(session), session.probings
-    earlier = cache.get(_SETTLED) if isinstance(cache, Memory) else None
+    given = session.probings
+    earlier = cache.pushes.get(_SETTLED) if isinstance(cache, Memory) else None
     session, is_new = (session, True) if earlier is None else earlier.start(session)
     for iteration in range(_MOST_CONTACT_ROUNDS):
         # The number of iterations is not known: each takes half of the remaining progress.
@@ -107,6 +107,7 @@ def with_consistent_contacts(
             theta[:2] = best.theta[:2]
             moved = (best.problem.predicted_surface(k, theta) for k in range(len(observations)))
             known = [surface for surface in moved if surface is not None]
+            surface = session_surface(session) if model is None else model.system.surface
             updated = displaced_contacts(session, surface, known, **constants)
         updated = with_contact_radii(updated, **constants)
         change = largest_change(session, updated)
@@ -118,7 +119,9 @@ def with_consistent_contacts(
             if isinstance(cache, Memory):
                 contacts = [probing.contact for probing in updated.probings]
                 digests = map(content_digest, given)
-                cache[_SETTLED] = _Settled(dict(zip(digests, contacts, strict=True)), constants)
+                cache.pushes[_SETTLED] = _Settled(
+                    dict(zip(digests, contacts, strict=True)), constants
+                )
             return session, observations, updated
         previous, session = session, updated
     # What Poisson's ratio that hardly counts leaves of a change is within the error of the radii.
@@ -296,6 +299,14 @@ class _Settled:
 
     contacts: dict[str, Contact]
     constants: dict[str, float]
+
+    @classmethod
+    def of(
+        cls, given: Sequence[Probing], settled: Session, constants: dict[str, float]
+    ) -> "_Settled":
+        """Of the probings as they were given, and with the contacts that were found."""
+        contacts = (probing.contact for probing in settled.probings)
+        return cls(dict(zip(map(content_digest, given), contacts, strict=True)), constants)
 
     def start(self, session: Session) -> tuple[Session, bool]:
         """A session with its contacts from these, or, of further probings, with radii that follow

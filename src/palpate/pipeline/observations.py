@@ -411,7 +411,8 @@ def made_once(
     session : Session                     k probings
     kind : any                            what else decides what is made; plain values
     make : function                       session of some of the probings -> as many items
-    cache : Cache or None                 a memory keeps the items of this session's probings
+    cache : Cache or None                 a memory keeps the items of this session's probings,
+                                          and no others
 
     Returns
     -------
@@ -424,13 +425,13 @@ def made_once(
         del rest[name]
     place = content_digest(("made once", kind, rest))
     digests = [content_digest(probing) for probing in session.probings]
-    kept: dict[str, T] = cache.get(place, {})
+    kept: dict[str, T] = cache.pushes.get(place, {})
     new = [k for k, digest in enumerate(digests) if digest not in kept]
     if new:
         probings = tuple(session.probings[k] for k in new)
         items = make(replace(session, probings=probings))
         kept = kept | {digests[k]: item for k, item in zip(new, items, strict=True)}
-    cache[place] = {digest: kept[digest] for digest in digests}
+    cache.pushes[place] = {digest: kept[digest] for digest in digests}
     return [kept[digest] for digest in digests]
 
 
