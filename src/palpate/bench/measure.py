@@ -163,21 +163,19 @@ def measure(
     if further is not None:
         again, folder = further
         return measure(again, questions, folder, until=until, pushes=pushes, cache=cache)
-    if estimate is not None:
-        estimate = _of_all(session, estimate, questions)
-        questions.tell(f"Session in {folder}; a report: palpate fit {folder}")
-    return estimate
+    return None if estimate is None else _of_all(session, estimate, questions)
 
 
 def _of_all(session: LiveSession, last: Estimate, questions: Questions) -> Estimate:
-    """The constants of all pushes at once, where there are several and the person waits."""
-    if session.count == 1:
-        return last
+    """The constants of all pushes at once, where there are several and the person waits; where the
+    session is, is said."""
     with suppress(Stopped):
-        with questions.working() as progress:
-            fitted = session.fit(session.measured(), at_once=True, progress=progress)
-        last = fitted.estimate
-        questions.tell(f"All {session.count} pushes: {verdict_text(last)}")
+        if session.count > 1:
+            with questions.working() as progress:
+                fitted = session.fit(session.measured(), at_once=True, progress=progress)
+            last = fitted.estimate
+            questions.tell(f"All {session.count} pushes: {verdict_text(last)}")
+        questions.tell(f"Session in {session.folder}; a report: palpate fit {session.folder}")
     return last
 
 

@@ -37,12 +37,12 @@ from palpate.pipeline.observations import (
     UNGRADED_RESIDUAL,
     compared_meshes,
     converged_observations,
-    made_once,
     reduced_model_of,
     ungraded_model,
     ungraded_observations,
     with_mesh_steps,
 )
+from palpate.pipeline.once import made_once
 from palpate.pipeline.pokes import fit_pokes
 from palpate.pipeline.reciprocity import reciprocity
 from palpate.progress import Progress, part_of, silent

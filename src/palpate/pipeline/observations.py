@@ -5,15 +5,14 @@ of one body show how large the discretisation error is.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import chain
-from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from palpate.bem import DENSE_RESIDUAL, LARGEST_DENSE, SolutionModel, make_solver
-from palpate.checkpoints import Cache, Memory, content_digest
+from palpate.checkpoints import Cache
 from palpate.errors import InputError, NotConvergedError
 from palpate.estimation import (
     FitMethod,
@@ -42,7 +41,8 @@ from palpate.pipeline.model.responses import (
     spring_responses,
 )
 from palpate.pipeline.model.shared_errors import PoseChanges, pose_changes, shared_errors
-from palpate.pipeline.model.supports import compliant_supports, free_std, given_motion
+from palpate.pipeline.model.supports import free_std, given_motion
+from palpate.pipeline.once import made_once
 from palpate.progress import Progress, part_of, silent
 from palpate.records import EXACT, GIVEN, DisplacementField, Probing, Session
 from palpate.shapes import Vertices
@@ -54,7 +54,6 @@ _PERTURBATION_TOLERANCE = 1e-5
 # the change of its logarithm that ends them (the error is of second order in it), and the longest
 # step.
 _MOST_ROUNDS, _STEP_TOLERANCE, _LONGEST_STEP = 12, 1e-3, 5.0
-T = TypeVar("T")
 Terms = Callable[[float], Float[np.ndarray, "n_rows t c"]]
 _GRADING = "mesh at rims and hollow edges (in steps from the given to the graded one)"
 # Relative residual of a model used only for the change to a finer mesh: that is at least a
@@ -392,47 +391,6 @@ def graded_observations(session: Session) -> list[ProbeObservations]:
     ungraded = with_mesh_steps(session, ungraded)
     graded = graded_session(session)
     return converged_observations(graded, make_object_model(graded), coarser=ungraded)
-
-
-def made_once(
-    session: Session,
-    kind: object,
-    make: Callable[[Session], Sequence[T]],
-    cache: Cache | None,
-) -> list[T]:
-    """What is made of each probing; in a memory, of those alone that the last fit had not.
-
-    Live, a session of many probings is fitted after each. What the model says of one depends on its
-    contact, its loads and its points, and on no other probing, except on springs, whose model is
-    taken at the modulus that fits all.
-
-    Parameters
-    ----------
-    session : Session                     k probings
-    kind : any                            what else decides what is made; plain values
-    make : function                       session of some of the probings -> as many items
-    cache : Cache or None                 a memory keeps the items of this session's probings,
-                                          and no others
-
-    Returns
-    -------
-    list of k items
-    """
-    if not isinstance(cache, Memory) or compliant_supports(session):
-        return list(make(session))
-    rest = {field.name: getattr(session, field.name) for field in fields(session)}
-    for name in ("name", "path", "notes", "probings"):
-        del rest[name]
-    place = content_digest(("made once", kind, rest))
-    digests = [content_digest(probing) for probing in session.probings]
-    kept: dict[str, T] = cache.pushes.get(place, {})
-    new = [k for k, digest in enumerate(digests) if digest not in kept]
-    if new:
-        probings = tuple(session.probings[k] for k in new)
-        items = make(replace(session, probings=probings))
-        kept = kept | {digests[k]: item for k, item in zip(new, items, strict=True)}
-    cache.pushes[place] = {digest: kept[digest] for digest in digests}
-    return [kept[digest] for digest in digests]
 
 
 def _session_observations_at(
