@@ -116,20 +116,20 @@ def _constants_figures() -> list[Figure]:
     views = [read_pictures(rig, pattern, folder=FOLDER, what=pattern).grey for pattern in patterns]
     dis = float(np.median([_dis_seconds(*views) for _ in range(10)]))
     session, figures = pressed_places(_MANY), []
-    for begun_with, count, which in ((1, 3, "third"), (_MANY - 1, _MANY, "twentieth")):
-        memory, seconds = Memory(), []
-        for pushes in range(begun_with, count + 1):
-            given = replace(session, probings=session.probings[:pushes])
-            begun = time.perf_counter()
-            fit_session(given, cache=memory, material=Material.AUTO)
-            seconds.append(time.perf_counter() - begun)
+    memory, seconds = Memory(), []
+    for count in range(1, _MANY + 1):
+        given = replace(session, probings=session.probings[:count])
+        begun = time.perf_counter()
+        fit_session(given, cache=memory, material=Material.AUTO)
+        seconds.append(time.perf_counter() - begun)
+    for count, which in ((3, "third"), (_MANY, "twentieth")):
         note = (
-            f"its model alone is new; {begun_with} at once {seconds[0]:.1f} s; without its flow;"
-            f" {seconds[-1] / dis:.0f} times OpenCV's DIS flow (medium) of three pictures of"
+            f"fits after one push and the next, the first in {seconds[0]:.1f} s; without its flow;"
+            f" {seconds[count - 1] / dis:.0f} times OpenCV's DIS flow (medium) of three pictures of"
             f" 640 x 480 in the same run, {dis:.3f} s"
         )
         name = f"constants after the {which} push, {len(session.mesh.vertices)} vertices"
-        figures.append(Figure(LIVE, name, seconds[-1], "s", note=note))
+        figures.append(Figure(LIVE, name, seconds[count - 1], "s", note=note))
     return figures
 
 

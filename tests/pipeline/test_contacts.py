@@ -410,7 +410,7 @@ def test_a_push_more_is_modelled_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     anew = fit_session(session).estimate
     for name in ("young_modulus", "poisson_ratio"):
         value, expected = getattr(live, name), getattr(anew, name)
-        # Contacts stay that change by less than a thousandth.
+        # Contacts stay that change by less than a quarter of a per cent.
         assert abs(value.value - expected.value) < 0.05 * expected.std
         assert value.std == pytest.approx(expected.std, rel=0.01)
     # Another force on the first push is another push.

@@ -33,9 +33,9 @@ from palpate.shapes import Points, Vector3, Vertices
 # Contact radii vary only with the cube root of the modulus, so they converge with the constants.
 # The relative tolerance is a tenth of the prior standard deviation of such a radius.
 _MOST_CONTACT_ROUNDS, _CONTACT_TOLERANCE = 8, 0.005
-# A contact that changes by less stays as it is, with what the model says of it: it moves the
-# modulus by as much at most.
-_STILL, _SETTLED = 1e-3, "settled contacts"
+# A contact that changes by less stays as it is, with what the model says of it: the modulus of the
+# given mesh alone wanders by a third of a per cent as places of further pushes settle.
+_STILL, _SETTLED = 0.5 * _CONTACT_TOLERANCE, "settled contacts"
 # Slopes of the fitted modulus over the one that radii were computed for, beyond which a secant step
 # is no longer trusted.
 _SECANT_SLOPES = (-1.0, 0.8)
@@ -95,7 +95,8 @@ def with_consistent_contacts(
         )  # fmt: skip
         best = joint_minimum(observations, settings)
         fitted.append(float(best.theta[1]))
-        taken.append(_consistent_modulus(taken, fitted))
+        # Where contacts are known, it is a new one that moves the modulus, and no secant of it.
+        taken.append(_consistent_modulus(taken, fitted) if earlier is None else fitted[-1])
         constants = {
             "shear_modulus": float(np.exp(taken[-1])),
             "poisson_ratio": min(best.poisson_ratio, _LARGEST_RATIO),
@@ -117,11 +118,7 @@ def with_consistent_contacts(
         # Where a contact starts is not where the object moves it.
         if change < _CONTACT_TOLERANCE and not (is_new and iteration == 0):
             if isinstance(cache, Memory):
-                contacts = [probing.contact for probing in updated.probings]
-                digests = map(content_digest, given)
-                cache.pushes[_SETTLED] = _Settled(
-                    dict(zip(digests, contacts, strict=True)), constants
-                )
+                cache.pushes[_SETTLED] = _Settled.of(given, updated, constants)
             return session, observations, updated
         previous, session = session, updated
     # What Poisson's ratio that hardly counts leaves of a change is within the error of the radii.
