@@ -453,7 +453,8 @@ def _gradient_noise_inflation(scene: Scene, noise: float) -> Float[np.ndarray, "
 
     Source: Fuller, Measurement Error Models (1987), section 1.2, with p the reliability ratio.
     """
-    picture, (row, column), shown = scene.pictures[scene.rig.reference], *_around(scene)
+    picture = scene.pictures[scene.rig.reference]
+    (row, column), shown = _around(scene)
     square = picture.along_column[shown] ** 2 + picture.along_row[shown] ** 2
     mean = moments(square, scene.subset)[0][row, column].astype(np.float64)
     true = mean - 2.0 * (slope_gain(scene.smoothing) * noise) ** 2
