@@ -22,10 +22,10 @@ Components: Moakher and Norris, The closest elastic tensor of arbitrary symmetry
 tensor of lower symmetry, Journal of Elasticity 85 (2006), section 2.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -62,8 +62,13 @@ _NO_VOLUME = 0.45
 _COMPONENTS = 19
 # Parts of a support.
 _PARTS = 8
+# Under this name a memory keeps how the body moves under unit loads.
+_UNIT_LOADS = "under unit loads"
 # How many times as large as a session says errors may be.
 _FREED = 2.0 ** np.arange(6)
+
+# Displacements under some loads -> derivatives of what is observed by coefficients, (p, a, b).
+Derivative = Callable[[Float[np.ndarray, "n3 p"]], Float[np.ndarray, "p a b"]]
 
 
 class Cause(StrEnum):
@@ -122,7 +127,7 @@ class Explanation:
 
     def _observations(self, model: FieldModel) -> list[ProbeObservations]:
         stiffness = _homogeneous(model, self.poisson_ratio)
-        (expansion,) = _expansions(model, stiffness, (self.cause,), self.loose)
+        expansion, _ = _expansion(model, stiffness, (self.cause,), loose=self.loose)
         count = len(expansion.coefficients)
         return expansion.observations(smooth_prior(self.std * np.eye(count)))
 
@@ -141,7 +146,8 @@ def explanations(
     session : Session                           k probings
     observations : sequence of k ProbeObservations      with the homogeneous body's response
     minimum : Evaluation                        of these
-    cache : Cache or None                       a memory keeps the body's elements for other pushes
+    cache : Cache or None                       a memory keeps the body's elements, and how they
+                                                move under unit loads, for other pushes
 
     Raises
     ------
@@ -156,14 +162,18 @@ def explanations(
         if isinstance(model, PushModel):
             # Without these pushes, which are large.
             memory[name] = replace(model, observations=(), points=())
-    ratio, candidates = _near(minimum.poisson_ratio), []
+    ratio = _near(minimum.poisson_ratio)
     stiffness: GradedStiffness | None = memory.get(factors := f"{name} factors")
     if stiffness is None or stiffness.poisson_ratio != ratio:
         stiffness = memory[factors] = _homogeneous(model, ratio)
     # Pokes, which tell one number each, cannot tell the others.
     causes = tuple(Cause) if isinstance(model, PushModel) else (Cause.PLACE,)
-    for cause, expansion in zip(causes, _expansions(model, stiffness, causes), strict=True):
-        known = information_about(expansion, minimum, expansion.coefficients)
+    expansion, parts = _expansion(model, stiffness, causes, memory=memory)
+    # What is known of the coefficients of one cause does not depend on those of the others.
+    information, score = information_about(expansion, minimum, expansion.coefficients)
+    candidates = []
+    for cause, part in zip(causes, parts, strict=True):
+        known = information[part, part], score[part]
         if cause is Cause.PLACE:
             prior = model.modes.best_prior(*known)
             evidence, std = prior.log_evidence, prior.std
@@ -218,60 +228,83 @@ def _homogeneous(model: FieldModel, poisson_ratio: float) -> GradedStiffness:
     return model.stiffness(np.zeros(model.modes.modes.shape[1]), poisson_ratio)
 
 
-def _expansions(
+def _expansion(
     model: FieldModel,
     stiffness: GradedStiffness,
     causes: Sequence[Cause],
+    *,
     loose: Bool[np.ndarray, " h"] | None = None,
-) -> Iterator[FieldExpansion]:
+    memory: Memory | None = None,
+) -> tuple[FieldExpansion, list[slice]]:
     """The responses' change by some causes about the homogeneous body, or about one of which the
-    support has let some held nodes go, one after the other."""
-    poisson_ratio, moved = stiffness.poisson_ratio, stiffness.displacements(model.load)
+    support has let some held nodes go; the coefficients of each."""
+    moved = stiffness.displacements(model.load)
     change = zero = model.seen(0.0 * moved)
     if loose is not None:
         held = model.body.held.copy()
         held[held] = ~loose
         body, before = replace(model.body, held=held), moved
-        stiffness = with_moduli(body, stiffness.log_modulus, poisson_ratio)
+        stiffness = with_moduli(body, stiffness.log_modulus, stiffness.poisson_ratio)
         moved = stiffness.displacements(model.load)
         change = model.seen(moved - before)
-    seen = stiffness.displacements(model.unit_loads) if isinstance(model, PushModel) else None
-    count = model.load.shape[1]
-    for cause in causes:
-        many = model.modes.modes.shape[1]
-        derivative: MadeInParts | np.ndarray
-        if seen is None:
-            derivative = model.derivative(stiffness, moved)
-        elif cause is Cause.PLACE:
-            derivative = MadeInParts(partial(_by_place, model, stiffness, seen, moved))
-        elif cause is Cause.DIRECTION:
-            derivative, many = _by_direction(stiffness, seen, moved), _COMPONENTS
-        else:
-            derivative = _by_support(model.body, stiffness, seen, moved)
-            many = derivative.shape[-1]
-        none, nowhere = np.zeros(many), np.zeros((count, many))
-        yield FieldExpansion(model, none, poisson_ratio, nowhere, zero, change, zero, derivative)
+    derivative: MadeInParts | np.ndarray
+    if isinstance(model, PushModel):
+        seen = _under_unit_loads(model, stiffness, Memory() if memory is None else memory)
+        made = [_DERIVATIVES[cause](model, stiffness, seen) for cause in causes]
+        counts = [count for count, _ in made]
+
+        def of_some(some: slice) -> Float[np.ndarray, "p a b"]:
+            return np.concatenate([make(moved[:, some]) for _, make in made], axis=2)
+
+        derivative = MadeInParts(of_some)
+    else:
+        derivative = model.derivative(stiffness, moved)
+        counts = [derivative.shape[-1]]
+    ends = np.cumsum([0, *counts]).tolist()
+    none, nowhere = np.zeros(ends[-1]), np.zeros((model.load.shape[1], ends[-1]))
+    expansion = FieldExpansion(
+        model, none, stiffness.poisson_ratio, nowhere, zero, change, zero, derivative
+    )
+    return expansion, [slice(*bounds) for bounds in pairwise(ends)]
+
+
+def _under_unit_loads(
+    model: PushModel, stiffness: GradedStiffness, memory: Memory
+) -> Float[np.ndarray, "n3 a"]:
+    """Displacements under unit loads at the model's corners; of corners about earlier pushes as the
+    memory keeps them."""
+    kept = memory.get(_UNIT_LOADS)
+    if kept is None or kept[0] is not stiffness:
+        kept = stiffness, model.corners[:0], np.zeros((3 * len(model.body.solid.nodes), 0))
+    _, known, seen = kept
+    new = np.setdiff1d(model.corners, known)
+    if len(new):
+        known = np.concatenate([known, new])
+        seen = np.hstack([seen, stiffness.displacements(model.unit_loads(new))])
+        memory[_UNIT_LOADS] = stiffness, known, seen
+    order = np.argsort(known)
+    place = order[np.searchsorted(known, model.corners, sorter=order)]
+    return seen[:, (3 * place[:, None] + np.arange(3)).ravel()]
 
 
 def _by_place(
-    model: FieldModel,
-    stiffness: GradedStiffness,
-    seen: Float[np.ndarray, "n3 a"],
-    moved: Float[np.ndarray, "n3 k"],
-    some: slice,
-) -> Float[np.ndarray, "p a b"]:
-    """Derivative by the modes of a field, under some loads."""
-    return stiffness.sensitivities(seen, moved[:, some], model.modes.modes)
+    model: PushModel, stiffness: GradedStiffness, seen: Float[np.ndarray, "n3 a"]
+) -> tuple[int, Derivative]:
+    """Derivative by the modes of a field."""
+    modes = model.modes.modes
+    return modes.shape[1], lambda moved: stiffness.sensitivities(seen, moved, modes)
 
 
 def _by_direction(
-    stiffness: GradedStiffness,
-    seen: Float[np.ndarray, "n3 a"],
-    moved: Float[np.ndarray, "n3 k"],
-) -> Float[np.ndarray, "k a 19"]:
+    _: PushModel, stiffness: GradedStiffness, seen: Float[np.ndarray, "n3 a"]
+) -> tuple[int, Derivative]:
     """Derivative by the components of an anisotropic tensor."""
-    products = stiffness.strain_products(seen, moved)
-    return -np.einsum("kaij,ijc->kac", products, _components())
+
+    def derivative(moved: Float[np.ndarray, "n3 p"]) -> Float[np.ndarray, "p a 19"]:
+        products = stiffness.strain_products(seen, moved)
+        return -np.einsum("paij,ijc->pac", products, _components())
+
+    return _COMPONENTS, derivative
 
 
 def _components() -> Float[np.ndarray, "6 6 19"]:
@@ -289,27 +322,38 @@ def _components() -> Float[np.ndarray, "6 6 19"]:
 
 
 def _by_support(
-    body: GradedBody,
-    stiffness: GradedStiffness,
-    seen: Float[np.ndarray, "n3 a"],
-    moved: Float[np.ndarray, "n3 k"],
-) -> Float[np.ndarray, "k a b"]:
+    model: PushModel, stiffness: GradedStiffness, seen: Float[np.ndarray, "n3 a"]
+) -> tuple[int, Derivative]:
     """Derivative by the compliance of every part of the support, in all directions and along its
     normal."""
+    body = model.body
     length = float(body.volume.sum()) ** (1.0 / 3.0)
     part, normals, areas = _parts(body)
     part = part[stiffness.body.held[body.held]]
     inside = (part == np.arange(len(areas))[:, None]).astype(float)
-    forces = [
-        np.einsum(
-            "sh,hip->sip", inside, stiffness.reactions(displacement).reshape(len(part), 3, -1)
-        )
-        for displacement in (seen, moved)
-    ]
-    along = [np.einsum("si,sip->sp", normals, force) for force in forces]
-    every = np.einsum("sia,sik,s->kas", *forces, length / areas)
-    along_normal = np.einsum("sa,sk,s->kas", *along, length / areas)
-    return np.concatenate([every, along_normal], axis=2)
+
+    def force_on_parts(displacement: Float[np.ndarray, "n3 p"]) -> Float[np.ndarray, "s 3 p"]:
+        on_nodes = stiffness.reactions(displacement).reshape(len(part), 3, -1)
+        return np.einsum("sh,hip->sip", inside, on_nodes)
+
+    at_seen = force_on_parts(seen)
+    normal_at_seen = np.einsum("si,sia->sa", normals, at_seen)
+
+    def derivative(moved: Float[np.ndarray, "n3 p"]) -> Float[np.ndarray, "p a b"]:
+        force = force_on_parts(moved)
+        every = np.einsum("sia,sip,s->pas", at_seen, force, length / areas)
+        normal = np.einsum("si,sip->sp", normals, force)
+        along_normal = np.einsum("sa,sp,s->pas", normal_at_seen, normal, length / areas)
+        return np.concatenate([every, along_normal], axis=2)
+
+    return 2 * len(areas), derivative
+
+
+_DERIVATIVES = {
+    Cause.PLACE: _by_place,
+    Cause.DIRECTION: _by_direction,
+    Cause.SUPPORT: _by_support,
+}
 
 
 def _parts(

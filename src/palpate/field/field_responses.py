@@ -372,20 +372,15 @@ class PushModel(FieldModel):
         # Whichever takes fewer solutions.
         if basis.shape[1] * moved.shape[1] < 3 * len(self.corners):
             changes = stiffness.changes(moved, basis)
-            return changes[:, self._unknowns]
-        seen = stiffness.displacements(self.unit_loads)
+            return changes[:, _unknowns(self.corners)]
+        seen = stiffness.displacements(self.unit_loads(self.corners))
         return stiffness.sensitivities(seen, moved, basis)
 
-    @property
-    def unit_loads(self) -> Float[np.ndarray, "n3 c3"]:
-        """One newton on each component of every corner."""
-        loads = np.zeros((3 * len(self.body.solid.nodes), 3 * len(self.corners)))
-        loads[self._unknowns, np.arange(loads.shape[1])] = 1.0
+    def unit_loads(self, corners: Int[np.ndarray, " c"]) -> Float[np.ndarray, "n3 c3"]:
+        """One newton on each component of some nodes."""
+        loads = np.zeros((3 * len(self.body.solid.nodes), 3 * len(corners)))
+        loads[_unknowns(corners), np.arange(loads.shape[1])] = 1.0
         return loads
-
-    @property
-    def _unknowns(self) -> Int[np.ndarray, " c3"]:
-        return (3 * self.corners[:, None] + np.arange(3)).ravel()
 
     def changed(
         self, expansion: FieldExpansion, prior: CoefficientPrior
@@ -395,6 +390,10 @@ class PushModel(FieldModel):
             _changed(expansion, k, probe, points, prior)
             for k, (probe, points) in enumerate(zip(self.observations, self.points, strict=True))
         ]
+
+
+def _unknowns(nodes: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c3"]:
+    return (3 * nodes[:, None] + np.arange(3)).ravel()
 
 
 def _changed(
@@ -417,6 +416,8 @@ def _changed(
 
     def along_coefficients(by: Float[np.ndarray, "b j"]) -> Float[np.ndarray, "r j"]:
         """Change of the rows, to first order, with changes of the coefficients."""
+        if not by.any():
+            return np.zeros((points.from_corners.shape[0], by.shape[1]))
         changed = points.from_corners @ (expansion.derivative[index] @ by)
         return changed - scale * np.outer(missing, local @ by)
 

@@ -6,7 +6,7 @@ surface, by a millimetre where the object moves by four, and that of a ball most
 where the surface faces it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,15 +112,16 @@ def with_consistent_contacts(
             updated = displaced_contacts(session, surface, known, **constants)
         updated = with_contact_radii(updated, **constants)
         change = largest_change(session, updated)
-        updated = _changed_where_much(session, updated)
         # Responses of all vertices are large, and not needed any more.
         observations = [replace(probe, vertices=None) for probe in observations]
         # Where a contact starts is not where the object moves it.
         if change < _CONTACT_TOLERANCE and not (is_new and iteration == 0):
+            nearer = session if earlier is None else earlier.followed(given, session)
+            nearer = _changed_where_much(nearer, updated, _STILL)
             if isinstance(cache, Memory):
-                cache.pushes[_SETTLED] = _Settled.of(given, updated, constants)
-            return session, observations, updated
-        previous, session = session, updated
+                cache.pushes[_SETTLED] = _Settled.of(given, session, nearer, constants)
+            return session, observations, nearer
+        previous, session = session, _changed_where_much(session, updated, _CONTACT_TOLERANCE)
     # What Poisson's ratio that hardly counts leaves of a change is within the error of the radii.
     if change < previous.errors.touched_radius:
         return previous, observations, session
@@ -273,12 +274,12 @@ def displaced_contacts(
     return replace(session, probings=tuple(probings))
 
 
-def _changed_where_much(before: Session, after: Session) -> Session:
-    """The later version of a session, with contacts as they were where they hardly changed."""
+def _changed_where_much(before: Session, after: Session, least: float) -> Session:
+    """The later version of a session, with contacts as they were where they changed by less."""
     return replace(
         after,
         probings=tuple(
-            old if _change(old.contact, new.contact) < _STILL else new
+            old if _change(old.contact, new.contact) < least else new
             for old, new in zip(before.probings, after.probings, strict=True)
         ),
     )
@@ -291,30 +292,53 @@ class _Settled:
     Attributes
     ----------
     contacts : digest -> Contact    by the probings as they were given
+    nearer : digest -> Contact      those that follow from these, a step nearer
     constants : name -> float       of which these are the contacts
     """
 
     contacts: dict[str, Contact]
+    nearer: dict[str, Contact]
     constants: dict[str, float]
 
     @classmethod
     def of(
-        cls, given: Sequence[Probing], settled: Session, constants: dict[str, float]
+        cls,
+        given: Sequence[Probing],
+        settled: Session,
+        nearer: Session,
+        constants: dict[str, float],
     ) -> "_Settled":
         """Of the probings as they were given, and with the contacts that were found."""
-        contacts = (probing.contact for probing in settled.probings)
-        return cls(dict(zip(map(content_digest, given), contacts, strict=True)), constants)
+        digests = list(map(content_digest, given))
+        before, after = (
+            {digest: probing.contact for digest, probing in zip(digests, probings, strict=True)}
+            for probings in (settled.probings, nearer.probings)
+        )
+        return cls(before, after, constants)
 
     def start(self, session: Session) -> tuple[Session, bool]:
         """A session with its contacts from these, or, of further probings, with radii that follow
         from the same constants; whether there are such probings."""
-        digests = [content_digest(probing) for probing in session.probings]
+        further = [content_digest(probing) not in self.contacts for probing in session.probings]
         settled = with_contact_radii(session, **self.constants)
-        probings = tuple(
-            replace(probing, contact=self.contacts.get(digest, probing.contact))
-            for digest, probing in zip(digests, settled.probings, strict=True)
-        )
-        return replace(session, probings=probings), not self.contacts.keys() >= set(digests)
+        return _with_known(session.probings, settled, self.contacts), any(further)
+
+    def followed(self, given: Sequence[Probing], session: Session) -> Session:
+        """A session with the contacts that followed from those that it has, where they did."""
+        return _with_known(given, session, self.nearer)
+
+
+def _with_known(
+    given: Sequence[Probing], session: Session, known: Mapping[str, Contact]
+) -> Session:
+    """A session with the contacts that are known by its probings as they were given."""
+    return replace(
+        session,
+        probings=tuple(
+            replace(probing, contact=known.get(content_digest(own), probing.contact))
+            for own, probing in zip(given, session.probings, strict=True)
+        ),
+    )
 
 
 def _consistent_modulus(taken: Sequence[float], fitted: Sequence[float]) -> float:

@@ -191,6 +191,7 @@ def _fit_displacements(
     )  # fmt: skip
 
 
+@serial_algebra()
 def prepare_body(
     session: Session,
     *,
