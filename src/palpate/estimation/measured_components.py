@@ -16,8 +16,6 @@ GROUP_COUNT = 8
 FIRST_CLAIMED = 4
 TIP_GROUP = 3
 GROUP_NAMES = ("x", "y", "z", "the tip")
-# Number of multiplications below which OpenBLAS uses a single thread.
-_UNTHREADED = 2**18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,28 +248,3 @@ def _stacked(probe: ProbeObservations) -> tuple[np.ndarray, np.ndarray, np.ndarr
         unit = np.concatenate([unit, tip_unit])
         group = np.concatenate([group, np.full(3, tip_group)])
     return displacement, unit, group.astype(np.int64)
-
-
-def weighted_products(
-    weighted: Float[np.ndarray, "s r"], columns: Float[np.ndarray, "t r"]
-) -> Float[np.ndarray, "s t"]:
-    """Product of some weighted columns with others, in pieces too small for BLAS to use threads.
-
-    With other work running, waiting threads cost ten times as much as the product itself.
-
-    Parameters
-    ----------
-    weighted : (s, r) float         few rows, many columns
-    columns : (t, r) float
-
-    Returns
-    -------
-    (s, t) float
-    """
-    rows = columns.shape[1]
-    piece = max(1, _UNTHREADED // max(len(weighted) * len(columns), 1))
-    total = np.zeros((len(weighted), len(columns)))
-    for first in range(0, rows, piece):
-        chosen = slice(first, first + piece)
-        total += weighted[:, chosen] @ columns[:, chosen].T
-    return total

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dposvx
 
-from palpate.estimation.measured_components import weighted_products
 from palpate.estimation.noise import Moments, moments_of
 from palpate.estimation.problem import Problem
 
@@ -275,7 +274,7 @@ def gram(
     -------
     (t, t) float                    t = s + `UnknownRows.count`
     """
-    named = weighted_products(columns * weight, columns)
+    named = (columns * weight) @ columns.T
     cross, whole = problem.unknown[index].products(columns, weight)
     return np.block([[named, cross], [cross.T, whole]])
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from palpate.estimation.measured_components import MeasuredComponents, weighted_products
+from palpate.estimation.measured_components import MeasuredComponents
 from palpate.geometry import morton_order
 from palpate.shapes import Points
 
@@ -75,7 +75,7 @@ class UnknownRows:
         weighted = columns * weight
         unwhitened = probe.whitened(weighted.T).T
         products = np.empty((len(columns), self.count))
-        products[:, :f] = weighted_products(weighted, self.fields)
+        products[:, :f] = weighted @ self.fields.T
         points, components = probe.point_of_row, probe.component_of_row
         for i in range(3):
             rows = np.flatnonzero(components == i)

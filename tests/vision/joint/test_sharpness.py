@@ -16,7 +16,12 @@ from vision.scenes import (
     rigid,
 )
 
-from palpate.vision.joint.sharpness import _SMOOTHING, _window_variances, equally_sharp
+from palpate.vision.joint.sharpness import (
+    _SMOOTHING,
+    _window_variances,
+    blur_difference,
+    equally_sharp,
+)
 from palpate.vision.matching.scene import Match
 from palpate.vision.range_flow import Outcome, is_valid
 from palpate.vision.spline import spline_pictures
@@ -37,11 +42,17 @@ def _instants(first, later, motion=MOTION):
     )
 
 
+def _prepared(state, moved):
+    later = spline_pictures(moved, state.scene.smoothing)
+    difference = blur_difference(state.scene, moved, later, state.motion)
+    return equally_sharp(state.scene, moved, later, difference)
+
+
 @pytest.mark.parametrize(("first", "later"), [(0.0, 1.2), (1.2, 0.0)])
 def test_the_sharper_picture_is_blurred_as_the_other_is(first, later):
     rest, moved = _instants(first, later, STILL)
     state = first_instant(STAGE, rest)
-    there, pictures = equally_sharp(state.scene, moved, state.motion)
+    there, pictures = _prepared(state, moved)
     # Both show the view behind 1.2 px and the usual low-pass.
     for ours, theirs, plain in zip(there.pictures, pictures, STAGE.views(), strict=True):
         wanted = cv2.GaussianBlur(plain, (0, 0), float(np.hypot(1.2, _SMOOTHING)))
@@ -56,7 +67,7 @@ def test_the_sharper_picture_is_blurred_as_the_other_is(first, later):
 def test_pictures_that_are_equally_sharp_stay_as_they_are():
     rest, moved = _instants(0.8, 0.8)
     state = first_instant(STAGE, rest)
-    there, pictures = equally_sharp(state.scene, moved, state.motion)
+    there, pictures = _prepared(state, moved)
     for ours, before in zip(there.pictures, state.scene.pictures, strict=True):
         # A hundredth of a pixel is found where there is none.
         np.testing.assert_allclose(ours.grey, before.grey, atol=0.5)

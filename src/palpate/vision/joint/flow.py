@@ -24,7 +24,7 @@ from palpate.records import Rig
 from palpate.shapes import Flags, Points, Triangles, Vertices
 from palpate.threads import map_in_threads
 from palpate.vision.joint.match import BEND_REACH, accepted_flow, match_scene
-from palpate.vision.joint.sharpness import equally_sharp
+from palpate.vision.joint.sharpness import blur_difference, equally_sharp
 from palpate.vision.joint.vertices import vertex_displacement, with_average
 from palpate.vision.matching.dense_flow import dense_start
 from palpate.vision.matching.local_regression import Scatter, local_field
@@ -32,7 +32,7 @@ from palpate.vision.matching.scene import Scene, advanced_scene, make_scene, sce
 from palpate.vision.matching.window import BASES
 from palpate.vision.projection import project
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
-from palpate.vision.spline import spline_pictures
+from palpate.vision.spline import SplinePicture, spline_pictures
 from palpate.vision.triangulation import triangulate
 
 # Median displacement gradient (Frobenius norm) above which pictures are matched unsmoothed: the
@@ -65,12 +65,14 @@ class JointState:
                                         where rejected, NaN where unknown
     flow : RangeFlow or None            range flow from the first instant to the last; None at the
                                         first instant
+    blur : (c,) float [px^2]            blur variance of the last pictures minus that of the first
     """
 
     scene: Scene
     grey: tuple[Float[np.ndarray, "_ _"], ...]
     motion: Float[np.ndarray, "n 6 3"]
     flow: RangeFlow | None
+    blur: Float[np.ndarray, " c"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +164,7 @@ class JointFlow:
             f"use a step of {step} px or more (--step)",
         )  # fmt: skip
         still = np.zeros((len(scene.point), 6, 3))
-        return JointState(scene, scene.grey, still, None)
+        return JointState(scene, scene.grey, still, None, np.zeros(len(scene.grey)))
 
     def follow(
         self, state: JointState, pictures: Sequence[Float[np.ndarray, "_ _"]]
@@ -186,11 +188,16 @@ class JointFlow:
         scene, now = state.scene, tuple(pictures)
         start = _flow_start(state, now)
         unsmoothed = _unsmoothed_where_turned(scene, start)
-        flow, matched = self._flow(unsmoothed, now, start)
+        later = spline_pictures(now, unsmoothed.smoothing)
+        blur = blur_difference(unsmoothed, now, later, start)
+        flow, matched = self._flow(*equally_sharp(unsmoothed, now, later, blur), start)
         motion = np.where(is_valid(flow)[:, None, None], matched, start)
+        after = JointState(scene, now, motion, flow, blur)
         if state.flow is not None and (is_valid(state.flow) & ~is_valid(flow)).any():
-            flow, motion = self._through_last(state, state.flow, now, start, flow, motion)
-        return JointState(scene, now, motion, flow), flow
+            if unsmoothed is not scene:
+                later = spline_pictures(now, scene.smoothing)
+            after, flow = self._through_last(state, state.flow, later, start, after, flow)
+        return after, flow
 
     def vertices(self, flow: RangeFlow, rig: Rig, surface: TriangleMesh) -> VertexDisplacement:
         """Displacement of the mesh's vertices by robust local quadratics.
@@ -228,13 +235,10 @@ class JointFlow:
         return displacement if order == 0 else with_average(displacement, flow, rig, surface, order)
 
     def _flow(
-        self,
-        scene: Scene,
-        now: tuple[Float[np.ndarray, "_ _"], ...],
-        start: Float[np.ndarray, "n 6 3"],
+        self, scene: Scene, later: Sequence[SplinePicture], start: Float[np.ndarray, "n 6 3"]
     ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
-        """Range flow from a scene to later pictures, and the motion of every window."""
-        scene, later = equally_sharp(scene, now, start)
+        """Range flow from a scene to later pictures as sharp as its own, and the motion of every
+        window."""
         match, noise = match_scene(scene, later, start, shape=self.shape)
         return accepted_flow(scene, match, noise), match.motion
 
@@ -242,18 +246,18 @@ class JointFlow:
         self,
         state: JointState,
         last: RangeFlow,
-        now: tuple[Float[np.ndarray, "_ _"], ...],
+        later: tuple[SplinePicture, ...],
         start: Float[np.ndarray, "n 6 3"],
+        after: JointState,
         direct: RangeFlow,
-        motion: Float[np.ndarray, "n 6 3"],
-    ) -> tuple[RangeFlow, Float[np.ndarray, "n 6 3"]]:
+    ) -> tuple[JointState, RangeFlow]:
         """Complete the direct flow and motion by those via the last instant. Points nearby are
         matched that way, too: for the field among neighbours, and for the drift."""
         scene, followed = state.scene, is_valid(last)
         missing = scene.point[followed & ~is_valid(direct)]
         away = cKDTree(missing).query(scene.point)[0] / float(np.median(scene.half_window))
         rows = np.flatnonzero(followed & (away <= BEND_REACH))
-        earlier = np.zeros_like(motion)
+        earlier = np.zeros_like(after.motion)
         earlier[:, 0] = last.displacement
         earlier[:, 1:3] = last.gradient * scene.half_window[:, None, None]
         # The surface under their windows, and some more.
@@ -261,12 +265,14 @@ class JointFlow:
         there = scene_rows(advanced_scene(scene, state.grey, earlier, shown), rows)
         ahead = np.zeros((len(rows), 6, 3))
         ahead[:, 0] = start[rows, 0] - earlier[rows, 0]
-        further, after = self._flow(there, now, ahead)
+        alike = equally_sharp(there, after.grey, later, after.blur - state.blur)
+        further, beyond = self._flow(*alike, ahead)
         half_window = scene.half_window[rows]
         whole = composed_motion(
-            earlier[rows], after, scene.tangent[rows], there.tangent, half_window
+            earlier[rows], beyond, scene.tangent[rows], there.tangent, half_window
         )
-        return _completed(direct, motion, last, further, whole, half_window, rows)
+        flow, motion = _completed(direct, after.motion, last, further, whole, half_window, rows)
+        return replace(after, motion=motion, flow=flow), flow
 
 
 def _flow_start(

@@ -20,7 +20,7 @@ from palpate.vision.matching.refinement import refine_joint, surface_points
 from palpate.vision.matching.scene import Limits, Match, Scene
 from palpate.vision.projection import project_kernel
 from palpate.vision.range_flow import Outcome
-from palpate.vision.spline import SplinePicture, make_spline_picture, sample_kernel, spline_pictures
+from palpate.vision.spline import SplinePicture, make_spline_picture, sample_kernel
 
 # Number of windows used: enough for the blur to 0.1 px, few compared with those of the flow.
 _WINDOWS = 100
@@ -37,42 +37,66 @@ _Greys = Sequence[Float[np.ndarray, "_ _"]]
 _ILLUMINATION = 4
 
 
-def equally_sharp(
-    scene: Scene, now: _Greys, start: Float[np.ndarray, "n 6 3"]
-) -> tuple[Scene, tuple[SplinePicture, ...]]:
-    """Prepare a scene and the later pictures for matching, equally sharp in each camera.
+def blur_difference(
+    scene: Scene,
+    now: _Greys,
+    later: Sequence[SplinePicture],
+    start: Float[np.ndarray, "n 6 3"],
+) -> Float[np.ndarray, " c"]:
+    """Blur variance of later pictures minus that of a scene's.
 
     Parameters
     ----------
     scene : Scene                       of n points in c cameras
     now : sequence of c (rows, columns) float [grey levels]     the later pictures, unprocessed
+    later : sequence of c SplinePicture     of these, smoothed like the scene's
     start : (n, 6, 3) float [m]         initial motion; NaN where there is none
+
+    Returns
+    -------
+    (c,) float [px^2]                   0 where the difference is not significant
+    """
+    difference = np.zeros(len(now))
+    known = np.flatnonzero(np.isfinite(start).all(axis=(1, 2)))
+    rows = known[:: max(len(known) // _WINDOWS, 1)]
+    if len(rows) < _MIN_WINDOWS:
+        return difference
+    prepared = scene, later
+    for _ in range(_ROUNDS):
+        if scene.smoothing < _SMOOTHING:
+            prepared = _blurred(scene, now, difference, _SMOOTHING)
+        variance, error = _relative_variance(*prepared, rows, start[rows])
+        sure = np.abs(variance) > _SIGNIFICANT * error
+        if not sure.any():
+            break
+        difference += np.where(sure, variance, 0.0)
+        prepared = _blurred(scene, now, difference, scene.smoothing)
+    return difference
+
+
+def equally_sharp(
+    scene: Scene,
+    now: _Greys,
+    later: tuple[SplinePicture, ...],
+    difference: Float[np.ndarray, " c"],
+) -> tuple[Scene, tuple[SplinePicture, ...]]:
+    """Prepare a scene and later pictures for matching, equally sharp in each camera.
+
+    Parameters
+    ----------
+    scene, now, later                   as `blur_difference`
+    difference : (c,) float [px^2]      the later pictures' blur variance minus that of the scene's
 
     Returns
     -------
     Scene                               its pictures blurred where the later one is less sharp; its
                                         `smoothing` stays that of the picture that is not blurred,
                                         which has nearly all of the noise
-    tuple of c SplinePicture            smoothed like the scene's; blurred where the first one is
-                                        less sharp
+    tuple of c SplinePicture            blurred where the first one is less sharp
     """
-    variance_difference = np.zeros(len(now))
-    prepared, later = scene, spline_pictures(now, scene.smoothing)
-    known = np.flatnonzero(np.isfinite(start).all(axis=(1, 2)))
-    rows = known[:: max(len(known) // _WINDOWS, 1)]
-    if len(rows) < _MIN_WINDOWS:
-        return prepared, later
-    for _ in range(_ROUNDS):
-        seen = prepared, later
-        if scene.smoothing < _SMOOTHING:
-            seen = _blurred(scene, now, variance_difference, _SMOOTHING)
-        variance, error = _relative_variance(*seen, rows, start[rows])
-        sure = np.abs(variance) > _SIGNIFICANT * error
-        if not sure.any():
-            break
-        variance_difference += np.where(sure, variance, 0.0)
-        prepared, later = _blurred(scene, now, variance_difference, scene.smoothing)
-    return prepared, later
+    if not difference.any():
+        return scene, later
+    return _blurred(scene, now, difference, scene.smoothing)
 
 
 def _blurred(
