@@ -25,7 +25,7 @@ from vision.scenes import (
 from palpate.errors import InputError
 from palpate.vision import JointFlow
 from palpate.vision.joint import flow as joint_flow
-from palpate.vision.joint.flow import composed_motion
+from palpate.vision.joint.flow import _followable, composed_motion
 from palpate.vision.range_flow import Outcome, is_valid
 
 NOISE = 1.5
@@ -387,6 +387,25 @@ def test_what_hardly_moves_between_instants_is_not_searched_for(monkeypatch):
         assert good[inside].mean() > 0.98
         assert np.abs((_error(flow, motion) / _sigma(flow))[good]).max() < 6.0
     assert counts == [3, 3, 3, 6]
+
+
+@pytest.mark.parametrize("step", [3, 5, 9, 15])
+def test_what_goes_under_a_tool_is_not_looked_for_in_the_last_instant(step):
+    """Half of the surface was covered before. Further windows at its rim show too little of what
+    was followed; one in the open does."""
+    method = JointFlow(step=step)
+    state = _state(noisy_views(example_views("still"), NOISE, 1), method=method)
+    state, flow = method.follow(state, noisy_views(example_views("still"), NOISE, 2))
+    column, row = np.rint((flow.pixel - flow.pixel.min(axis=0)) / step).astype(int).T
+    rim, top = int(np.median(column)), int(np.median(row))
+    last = replace(flow, outcome=np.where(column < rim, Outcome.SCORE, flow.outcome))
+    inner = (column == rim + 2) & (row == top)
+    assert inner.sum() == 1
+    lost = (column == rim) | inner
+    direct = replace(last, outcome=np.where(lost, Outcome.SCORE, last.outcome))
+    np.testing.assert_array_equal(
+        _followable(replace(state, flow=last), direct), np.flatnonzero(inner)
+    )
 
 
 def test_pictures_that_show_something_else_are_rejected():

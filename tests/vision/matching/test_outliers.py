@@ -32,7 +32,8 @@ def _surface(curved=True, n=15):
 
 def _predicted(point, tangent, displacement, gradient, valid=None, reach=REACH):
     valid = np.ones(len(point), dtype=bool) if valid is None else valid
-    return predicted(point, tangent, displacement, gradient, valid, reach=reach)
+    every = np.arange(len(point))
+    return predicted(point, tangent, displacement, gradient, valid, every, reach=reach)
 
 
 def _linear(point, tangent, matrix):

@@ -28,10 +28,16 @@ from palpate.vision.joint.sharpness import blur_difference, equally_sharp
 from palpate.vision.joint.vertices import vertex_displacement, with_average
 from palpate.vision.matching.dense_flow import dense_start
 from palpate.vision.matching.local_regression import Scatter, local_field
-from palpate.vision.matching.scene import Scene, advanced_scene, make_scene, scene_rows
+from palpate.vision.matching.scene import (
+    Limits,
+    Scene,
+    advanced_scene,
+    make_scene,
+    scene_rows,
+)
 from palpate.vision.matching.window import BASES
 from palpate.vision.projection import project
-from palpate.vision.range_flow import RangeFlow, VertexDisplacement, is_valid
+from palpate.vision.range_flow import RangeFlow, VertexDisplacement, grid_triangles, is_valid
 from palpate.vision.spline import SplinePicture, spline_pictures
 from palpate.vision.triangulation import triangulate
 
@@ -42,9 +48,9 @@ _MAX_SMOOTHED_GRADIENT = 0.03
 # than four times that, it is wrong.
 _START_ERROR_PX = 0.5
 _MAX_START_RESIDUAL_PX = 2.0
-# No dense search where all but a few windows moved by less since the last instant: a match finds
-# them within a few pixels, and those few have second attempts.
-_NEAR_PX, _FEW = 1.0, 0.01
+# No dense search where all but a few windows, of so many that are looked at, moved by less since
+# the last instant: a match finds them within a few pixels, and those few have second attempts.
+_NEAR_PX, _FEW, _LOOKED_AT = 1.0, 0.01, 400
 # Smoothing radius, in half windows, of the field that interpolates starts over gaps.
 _START_REACH = 3.0
 
@@ -193,11 +199,12 @@ class JointFlow:
         flow, matched = self._flow(*equally_sharp(unsmoothed, now, later, blur), start)
         motion = np.where(is_valid(flow)[:, None, None], matched, start)
         after = JointState(scene, now, motion, flow, blur)
-        if state.flow is not None and (is_valid(state.flow) & ~is_valid(flow)).any():
-            if unsmoothed is not scene:
-                later = spline_pictures(now, scene.smoothing)
-            after, flow = self._through_last(state, state.flow, later, start, after, flow)
-        return after, flow
+        missing = _followable(state, flow)
+        if state.flow is None or len(missing) == 0:
+            return after, flow
+        if unsmoothed is not scene:
+            later = spline_pictures(now, scene.smoothing)
+        return self._through_last(state, state.flow, later, start, after, flow, missing)
 
     def vertices(self, flow: RangeFlow, rig: Rig, surface: TriangleMesh) -> VertexDisplacement:
         """Displacement of the mesh's vertices by robust local quadratics.
@@ -250,12 +257,13 @@ class JointFlow:
         start: Float[np.ndarray, "n 6 3"],
         after: JointState,
         direct: RangeFlow,
+        missing: Int[np.ndarray, " m"],
     ) -> tuple[JointState, RangeFlow]:
-        """Complete the direct flow and motion by those via the last instant. Points nearby are
-        matched that way, too: for the field among neighbours, and for the drift."""
+        """Complete the direct flow and motion of some points by those via the last instant. Points
+        nearby are matched that way, too: for the field among neighbours, and for the drift."""
         scene, followed = state.scene, is_valid(last)
-        missing = scene.point[followed & ~is_valid(direct)]
-        away = cKDTree(missing).query(scene.point)[0] / float(np.median(scene.half_window))
+        away = cKDTree(scene.point[missing]).query(scene.point)[0]
+        away /= float(np.median(scene.half_window))
         rows = np.flatnonzero(followed & (away <= BEND_REACH))
         earlier = np.zeros_like(after.motion)
         earlier[:, 0] = last.displacement
@@ -273,6 +281,23 @@ class JointFlow:
         )
         flow, motion = _completed(direct, after.motion, last, further, whole, half_window, rows)
         return replace(after, motion=motion, flow=flow), flow
+
+
+def _followable(state: JointState, direct: RangeFlow) -> Int[np.ndarray, " m"]:
+    """Points that were followed to the last instant and are missing now, where the surface of such
+    points fills a window: the rest is beside a tool that goes on to cover it."""
+    if state.flow is None:
+        return np.zeros(0, dtype=np.int64)
+    scene, followed = state.scene, is_valid(state.flow)
+    missing = np.flatnonzero(followed & ~is_valid(direct))
+    pixel = scene.pixel[followed]
+    middle = pixel[grid_triangles(pixel, scene.step)].mean(axis=1)
+    half = scene.subset // 2
+    cells = max(half // scene.step, 1)
+    shown = cKDTree(middle).query_ball_point(
+        scene.pixel[missing], cells * scene.step, p=np.inf, return_length=True
+    )
+    return missing[shown >= Limits(half).min_fraction * 2 * (2 * cells) ** 2]
 
 
 def _flow_start(
@@ -293,7 +318,8 @@ def _flow_start(
     old = np.stack([project(camera, point) for camera in scene.rig.cameras])
     if state.flow is not None:
         last = is_valid(state.flow)
-        marks = (old[c][scene.seen[:, c] & last] for c in range(len(old)))
+        marks = [old[c][scene.seen[:, c] & last] for c in range(len(old))]
+        marks = [mark[:: max(len(mark) // _LOOKED_AT, 1)] for mark in marks]
         if all(map_in_threads(_hardly_moved, state.grey, now, marks)):
             return _smooth_start(scene, state.motion[:, 0], state.flow.covariance, last)
     target = np.full(old.shape, np.nan)

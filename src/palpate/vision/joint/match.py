@@ -233,28 +233,32 @@ def _second_tries(
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 6 3"]]:
     """Points that were lost or fit badly, and starts from their neighbours' motion."""
     fits = _fits(match, noise)
-    guess = _predicted_motion(scene, match, fits)
     may = np.isin(match.outcome, (Outcome.LOST, Outcome.VALID, Outcome.OUTSIDE))
+    rows = np.flatnonzero(may & ~fits)
+    guess = _predicted_motion(scene, match, fits, rows)
     known = np.isfinite(guess.displacement).all(axis=1)
-    size = pixel_sizes(scene.rig.cameras[scene.rig.reference], scene.point)
+    size = pixel_sizes(scene.rig.cameras[scene.rig.reference], scene.point[rows])
     with np.errstate(invalid="ignore"):
-        distance = np.linalg.norm(match.motion[:, 0] - guess.displacement, axis=1)
-        far = ~(distance < size)
-    rows = np.flatnonzero(may & ~fits & known & far)
+        distance = np.linalg.norm(match.motion[rows, 0] - guess.displacement, axis=1)
+        chosen = known & ~(distance < size)
+    rows = rows[chosen]
     restart = np.zeros((len(rows), 6, 3))
-    restart[:, 0] = guess.displacement[rows]
-    restart[:, 1:3] = guess.gradient[rows] * scene.half_window[rows, None, None]
+    restart[:, 0] = guess.displacement[chosen]
+    restart[:, 1:3] = guess.gradient[chosen] * scene.half_window[rows, None, None]
     return rows, restart
 
 
-def _predicted_motion(scene: Scene, match: Match, valid: Bool[np.ndarray, " n"]) -> Prediction:
-    """Motion of each point as predicted by its valid neighbours; see `predicted`.
+def _predicted_motion(
+    scene: Scene, match: Match, valid: Bool[np.ndarray, " n"], rows: Int[np.ndarray, " k"]
+) -> Prediction:
+    """Motion of some points as predicted by their valid neighbours; see `predicted`.
 
     Parameters
     ----------
     scene : Scene                   of n points
     match : Match                   of the same points
     valid : (n,) bool               points used for prediction
+    rows : (k,) int                 points whose motion is predicted
 
     Returns
     -------
@@ -267,6 +271,7 @@ def _predicted_motion(scene: Scene, match: Match, valid: Bool[np.ndarray, " n"])
         match.motion[:, 0],
         gradient,
         valid,
+        rows,
         reach=_neighbourhood(scene),
     )
 
@@ -405,11 +410,12 @@ def _outcome(
         blurred = _lateral(scene, by_noise) > _MAX_NOISE_PX * _pixel_sizes(scene)
         outcome[(outcome == Outcome.VALID) & blurred] = Outcome.TEXTURE
         ok = outcome == Outcome.VALID
-        around = _predicted_motion(scene, match, ok)
-        distance = np.linalg.norm(match.motion[:, 0] - around.displacement, axis=1)
-        sigma = np.sqrt(np.trace(by_noise, axis1=1, axis2=2))
+        rows = np.flatnonzero(ok)
+        around = _predicted_motion(scene, match, ok, rows)
+        distance = np.linalg.norm(match.motion[rows, 0] - around.displacement, axis=1)
+        sigma = np.sqrt(np.trace(by_noise[rows], axis1=1, axis2=2))
         isolated = distance > _MAX_DISAGREEMENT * np.hypot(around.scatter, sigma)
-    outcome[ok & isolated] = Outcome.NEIGHBOURS
+    outcome[rows[isolated]] = Outcome.NEIGHBOURS
     return outcome
 
 

@@ -23,18 +23,18 @@ _MIN_NEIGHBOURS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Motion of points predicted by their valid neighbours; NaN where there are too few.
+    """Motion of k points predicted by their valid neighbours; NaN where there are too few.
 
     Attributes
     ----------
-    displacement : (n, 3) float [m]
-    gradient : (n, 2, 3) float [-]
-    scatter : (n,) float [m]            median distance of the neighbours' predictions from
+    displacement : (k, 3) float [m]
+    gradient : (k, 2, 3) float [-]
+    scatter : (k,) float [m]            median distance of the neighbours' predictions from
                                         `displacement`
     """
 
     displacement: Points
-    gradient: Float[np.ndarray, "n 2 3"]
+    gradient: Float[np.ndarray, "k 2 3"]
     scatter: PointScalars
 
 
@@ -44,16 +44,18 @@ def predicted(
     displacement: Points,
     gradient: Float[np.ndarray, "n 2 3"],
     valid: Flags,
+    rows: Int[np.ndarray, " k"],
     *,
     reach: float,
 ) -> Prediction:
-    """Predict the motion of each point from its valid neighbours, excluding the point itself.
+    """Predict the motion of some points from their valid neighbours, excluding the point itself.
 
     Parameters
     ----------
     point, tangent : (n, 3), (n, 2, 3) float    [m], and two orthonormal tangents
     displacement, gradient : (n, 3) [m], (n, 2, 3)  used where valid
     valid : (n,) bool
+    rows : (k,) int                     points whose motion is predicted
     reach : float [m]                   neighbours farther away are ignored
 
     Returns
@@ -64,7 +66,7 @@ def predicted(
     ------
     Westerweel and Scarano (2005), with the neighbours' gradients.
     """
-    near = _nearest(point, valid, reach)
+    near = _nearest(point, valid, rows, reach)
     is_near = near >= 0
     j = np.where(is_near, near, 0)
     normal = np.cross(tangent[:, 0], tangent[:, 1])
@@ -74,12 +76,12 @@ def predicted(
     # Displacement gradients [n, i, b] in object axes, along the surface and with the normal.
     along = np.einsum("nai,nab->nib", tangent, gradient)
     whole = along + normal[:, :, None] * rotation[:, None]
-    offset = point[:, None] - point[j]
+    offset = point[rows, None] - point[j]
     carried = displacement[j] + (offset[:, :, None] @ whole[j])[:, :, 0]
     median = neighbours_median(carried, is_near)
     scatter = neighbours_median(np.linalg.norm(carried - median[:, None], axis=2), is_near)
     # Transformed to each point's own tangents.
-    slope = neighbours_median(tangent[:, None] @ along[j], is_near)
+    slope = neighbours_median(tangent[rows, None] @ along[j], is_near)
     return Prediction(median, slope, scatter)
 
 
@@ -143,7 +145,7 @@ def median_test(point: Points, displacement: Points, valid: Flags) -> PointScala
     After Westerweel and Scarano (2005), section 2.
     """
     moved = displacement[valid]
-    near = _nearest(point[valid], np.ones(len(moved), dtype=bool), np.inf)
+    near = _nearest(point[valid], np.ones(len(moved), dtype=bool), np.arange(len(moved)), np.inf)
     is_near = near >= 0
     values = moved[near]
     median = neighbours_median(values, is_near)
@@ -174,7 +176,7 @@ def median_around(
     -------
     (n,) float                      the value itself where neither it nor a neighbour is valid
     """
-    near = _nearest(point, valid, reach)
+    near = _nearest(point, valid, np.arange(len(point)), reach)
     around = np.where(near >= 0, value[np.maximum(near, 0)], np.nan)
     itself = np.where(valid, value, np.nan)[:, None]
     everything = np.hstack([itself, around])
@@ -182,17 +184,20 @@ def median_around(
     return np.where(np.isnan(median), value, median)
 
 
-def _nearest(point: Points, valid: Flags, reach: float) -> Int[np.ndarray, "n k"]:
-    """Indices of the nearest valid neighbours, never the point itself; -1 where there are fewer."""
-    rows = np.flatnonzero(valid)
-    near = np.full((len(point), _MAX_NEIGHBOURS), -1)
-    if len(rows) == 0:
+def _nearest(
+    point: Points, valid: Flags, rows: Int[np.ndarray, " k"], reach: float
+) -> Int[np.ndarray, "k m"]:
+    """Indices of the nearest valid neighbours of some points, never the point itself; -1 where
+    there are fewer."""
+    others = np.flatnonzero(valid)
+    near = np.full((len(rows), _MAX_NEIGHBOURS), -1)
+    if len(others) == 0:
         return near
-    many = min(_MAX_NEIGHBOURS + 1, len(rows))
-    _, nearest = cKDTree(point[rows]).query(point, k=many, distance_upper_bound=reach)
-    nearest = nearest.reshape(len(point), many)
-    index = np.where(nearest < len(rows), np.append(rows, -1)[np.minimum(nearest, len(rows))], -1)
-    index = np.where(index == np.arange(len(point))[:, None], -1, index)
+    many = min(_MAX_NEIGHBOURS + 1, len(others))
+    _, nearest = cKDTree(point[others]).query(point[rows], k=many, distance_upper_bound=reach)
+    nearest = nearest.reshape(len(rows), many)
+    index = np.append(others, -1)[nearest]
+    index = np.where(index == rows[:, None], -1, index)
     # Missing neighbours go to the end; the order of the others is kept.
     order = np.argsort(index < 0, axis=1, kind="stable")
     neighbours = np.take_along_axis(index, order, axis=1)[:, :_MAX_NEIGHBOURS]
