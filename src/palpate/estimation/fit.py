@@ -247,8 +247,10 @@ def fit(
     # Also where the search did not converge: a wrong model is the usual reason.
     if contradicted_by:
         estimate = contradicted(estimate)
-    likelihood = likelihood_map(posterior, reported)
-    return FitResult(estimate, likelihood, fits, interval_set(posterior), minimum)
+    likelihood, intervals = likelihood_map(posterior, reported), interval_set(posterior)
+    # What has been computed at the minimum stays; of many pushes the expansions are large.
+    minimum.problem = minimum.problem.unexpanded()
+    return FitResult(estimate, likelihood, fits, intervals, minimum)
 
 
 def joint_minimum(

@@ -185,6 +185,11 @@ class Problem:
         expansions = (_expansion(probe, self.shared, poisson_ratio) for probe in self.probes)
         return replace(self, expansions=tuple(expansions))
 
+    def unexpanded(self) -> "Problem":
+        """The same objective, with expansions that are not kept."""
+        ratio = self.expansions[0].poisson_ratio
+        return replace(self, expansions=Expansions(self.probes, self.shared, ratio))
+
     def subset(
         self, index: int, theta: Float[np.ndarray, " t"]
     ) -> tuple["Problem", Float[np.ndarray, " b"]]:

@@ -106,7 +106,9 @@ class SurfaceAverage:
             # A product with an index out of range, as of a damaged file, would end the process.
             self.weights.check_format(full_check=True)
             # As blocks: else half of what a session keeps of pictures would be indices.
-            weights = bsr_array(self.weights, dtype=np.float32, blocksize=(3, 3))
+            blocks = bsr_array(self.weights, dtype=np.float32, blocksize=(3, 3))
+            places = (index.astype(np.int32) for index in (blocks.indices, blocks.indptr))
+            weights = bsr_array((blocks.data, *places), shape=blocks.shape)
         except ValueError as error:
             raise InputError(f"weights are no matrix of 3 x 3 blocks: {error}") from error
         object.__setattr__(self, "weights", weights)
