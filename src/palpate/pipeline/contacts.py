@@ -108,7 +108,7 @@ def with_consistent_contacts(
             theta[:2] = best.theta[:2]
             moved = (best.problem.predicted_surface(k, theta) for k in range(len(observations)))
             known = [surface for surface in moved if surface is not None]
-            surface = session_surface(session) if model is None else model.system.surface
+            surface = model.system.surface if model else session_surface(session, cache=cache)
             updated = displaced_contacts(session, surface, known, **constants)
         updated = with_contact_radii(updated, **constants)
         change = largest_change(session, updated)

@@ -151,14 +151,14 @@ def _fit_displacements(
     chosen |= {"lengths": length_error(session, strains)}
     before, last = _parts(progress, settings, finite_strain=finite_strain)
     before("the given mesh", 0.0)
-    refined = refined_session(session)
+    refined = refined_session(session, cache=cache)
     # First, so that its memory is free again before the graded model is made.
     first_part = part_of(before, 0.0, _GRADED, prefix="the given mesh: ")
     # The correction for finite strain presses a ball where it touched first, and lets it slide.
     refined, ungraded = _on_ungraded_mesh(refined, settings, cache, not finite_strain, first_part)
     compared = time.perf_counter()
     before("integrals over the surface", _GRADED)
-    graded = graded_session(refined)
+    graded = graded_session(refined, cache=cache)
     moving, observations, assembled = _on_graded_mesh(graded, ungraded, settings, cache, before)
     observations = with_stretch(observations, strains)
     factorised = time.perf_counter()

@@ -334,7 +334,7 @@ def with_mesh_steps(
     InputError, SingularSystemError, NotConvergedError    as `converged_observations`
     """
     stepped = list(observations)
-    meshes = compared_meshes(session)
+    meshes = compared_meshes(session, cache=cache)
     for number, (name, compared_session, rings) in enumerate(meshes):
         _, compared = ungraded_observations(
             compared_session,
@@ -352,12 +352,15 @@ def with_mesh_steps(
     return stepped
 
 
-def compared_meshes(session: Session) -> list[tuple[str, Session, int]]:
+def compared_meshes(
+    session: Session, *, cache: Cache | None = None
+) -> list[tuple[str, Session, int]]:
     """The meshes and fits between vertices with which the model of the given mesh is compared.
 
     Parameters
     ----------
     session : Session
+    cache : Cache or None                 as for `session_surface`
 
     Returns
     -------
@@ -365,7 +368,7 @@ def compared_meshes(session: Session) -> list[tuple[str, Session, int]]:
                                           fits; without the latter where the mesh has no sharp
                                           edges, without those that are too large for dense matrices
     """
-    refined = edge_refined_session(session)
+    refined = edge_refined_session(session, cache=cache)
     meshes = [("wider fits", session, 2)]
     if len(refined.mesh.vertices) > len(session.mesh.vertices):
         meshes.append(("finer edges", refined, 1))

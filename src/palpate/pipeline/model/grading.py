@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from palpate.bem import BoundarySurface
+from palpate.checkpoints import Cache
 from palpate.geometry import (
     SurfacePoints,
     TriangleMesh,
@@ -50,7 +51,9 @@ _MOST_HALVINGS, _MOST_VERTICES = 6, 2500
 _HOLLOW = 0.1
 
 
-def refined_session(session: Session, contacts: Sequence[Contact] | None = None) -> Session:
+def refined_session(
+    session: Session, contacts: Sequence[Contact] | None = None, *, cache: Cache | None = None
+) -> Session:
     """A session on a mesh whose faces are all at least two elements wide, and that is finer
     about flat punches and contacts that a crease crosses.
 
@@ -58,6 +61,7 @@ def refined_session(session: Session, contacts: Sequence[Contact] | None = None)
     ----------
     session : Session
     contacts : sequence of Contact or None    None: those of its probings
+    cache : Cache or None           as for `session_surface`
 
     Returns
     -------
@@ -67,44 +71,46 @@ def refined_session(session: Session, contacts: Sequence[Contact] | None = None)
     if contacts is None:
         contacts = [probing.contact for probing in session.probings]
     most = max(_MOST_VERTICES, 2 * len(session.mesh.vertices))
-    boundary = session_surface(session)
+    boundary = session_surface(session, cache=cache)
     across = [contact for contact in contacts if _is_crossed(boundary, contact)]
     session = _divided_session(session, *refined_mesh(boundary, contacts))
     for _ in range(_MOST_HALVINGS - 1 if across else 0):
-        mesh, parent = refined_mesh(session_surface(session), across)
+        mesh, parent = refined_mesh(session_surface(session, cache=cache), across)
         if not len(session.mesh.vertices) < len(mesh.vertices) <= most:
             break
         session = _divided_session(session, mesh, parent)
     return session
 
 
-def graded_session(session: Session) -> Session:
+def graded_session(session: Session, *, cache: Cache | None = None) -> Session:
     """A session on a mesh graded at the rims of its supports and at hollow edges.
 
     Parameters
     ----------
     session : Session
+    cache : Cache or None           as for `session_surface`
 
     Returns
     -------
     Session                         as from `refined_session`
     """
-    return _divided_session(session, *graded_mesh(session_surface(session)))
+    return _divided_session(session, *graded_mesh(session_surface(session, cache=cache)))
 
 
-def edge_refined_session(session: Session) -> Session:
+def edge_refined_session(session: Session, *, cache: Cache | None = None) -> Session:
     """A session on a mesh whose edges at creases are halved, except at those creases (rims,
     hollow edges) that grading refines.
 
     Parameters
     ----------
     session : Session
+    cache : Cache or None           as for `session_surface`
 
     Returns
     -------
     Session                         as from `refined_session`
     """
-    boundary = session_surface(session)
+    boundary = session_surface(session, cache=cache)
     ends, on_rim = _edge_ends(boundary), _at_rim(boundary)
     creases = boundary.sides.cut & ~_hollow_edges(boundary) & ~on_rim[ends].all(axis=1)
     at_crease = np.zeros(len(boundary.mesh.vertices), dtype=bool)

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import block_diag, csr_array, eye_array, hstack, kron
+from scipy.sparse import csr_array, eye_array, hstack, kron
 
 from palpate.bem import (
     BodyForce,
@@ -131,7 +131,9 @@ def make_object_model(
     sliding = sliding_motion(session)
     require_balance(session, sliding)
     supports = (*moving_supports(session), *filter(None, [sliding]))
-    boundary = session_surface(session, rings=rings) if like is None else like.system.surface
+    boundary = (
+        session_surface(session, rings=rings, cache=cache) if like is None else like.system.surface
+    )
     loads = make_load_table(
         session, boundary, support_shapes(session, supports), perturbed=perturbed
     )
@@ -413,9 +415,24 @@ def _seen(
     if model.session.probings[index].tip_displacement is not None and patch >= 0:
         contact = list(model.loads.patches.values())[patch]
         parts.append((np.array([contact.triangle]), contact.barycentric[None]))
-        matrix = csr_array(block_diag([matrix, eye_array(3)]))
+        matrix = _with_own_rows(matrix, 3)
     triangle, barycentric = (np.concatenate(part) for part in zip(*parts, strict=True))
     return _Seen(triangle, barycentric, matrix)
+
+
+def _with_own_rows(matrix: csr_array, count: int) -> csr_array:
+    """A matrix with further rows, each with a one in a further column: `block_diag` takes as long
+    as everything else about what a probing observes."""
+    (rows, columns), ends = matrix.shape, matrix.indptr
+    further = np.arange(count)
+    return csr_array(
+        (
+            np.append(matrix.data, np.ones(count)),
+            np.append(matrix.indices, columns + further),
+            np.append(ends, ends[-1] + 1 + further),
+        ),
+        shape=(rows + count, columns + count),
+    )
 
 
 def _samples(model: ObjectModel, average: SurfaceAverage) -> SurfacePoints:

@@ -6,6 +6,7 @@ object on rollers; the forces on supports, and those that are beds of springs.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -22,6 +23,7 @@ from palpate.bem import (
     make_surface,
     unrestrained_motions,
 )
+from palpate.checkpoints import Cache, Checkpoints, Memory, content_digest
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, area_vectors, bounding_diagonal
 from palpate.records import (
@@ -250,25 +252,29 @@ def held_directions(session: Session) -> Float[np.ndarray, "k 3 3"]:
     return directions
 
 
-def session_surface(session: Session, *, rings: int = 1) -> BoundarySurface:
+def session_surface(
+    session: Session, *, rings: int = 1, cache: Cache | None = None
+) -> BoundarySurface:
     """Surface of a session's object with its supports.
 
     Parameters
     ----------
     session : Session
     rings : int                     as for `bem.make_surface`
+    cache : Cache or None           a memory keeps it for further pushes
 
     Returns
     -------
     BoundarySurface
     """
-    return make_surface(
-        session.mesh,
-        session.held_triangles,
-        directions=held_directions(session),
-        smooth=session.smooth,
-        rings=rings,
+    mesh, held, directions = session.mesh, session.held_triangles, held_directions(session)
+    make = partial(
+        make_surface, mesh, held, directions=directions, smooth=session.smooth, rings=rings
     )
+    if not isinstance(cache, Memory):
+        return make()
+    key = content_digest((mesh, held, directions, session.smooth, rings))
+    return Checkpoints(cache, key).load_or_make("surface", make)
 
 
 def sliding_motion(session: Session) -> MovingSupport | None:
