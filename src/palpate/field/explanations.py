@@ -154,6 +154,8 @@ def explanations(
     MeshError                       so few elements do not fit into the body
     """
     memory = cache if isinstance(cache, Memory) else Memory()
+    # What the vertices do is not asked.
+    observations = [replace(probe, vertices=None) for probe in observations]
     name = content_digest(("few elements", session.mesh, session.held_triangles))
     if name in memory:
         model: FieldModel = memory[name].under(session, observations)

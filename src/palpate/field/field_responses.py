@@ -53,10 +53,8 @@ from palpate.solids import (
     with_moduli,
 )
 
-# Probings whose derivatives are made at once, where they are not kept.
-_PART = 8
-# Change of Poisson's ratio for the derivative of d.
-_STEP = 0.005
+# Probings whose derivatives are made at once; change of Poisson's ratio for the derivative of d.
+_PART, _STEP = 8, 0.005
 # Begins the names of a field's coefficients; what the budget calls them together.
 _MODE, _SOURCE = "mode of the modulus", "modulus that differs from place to place"
 
@@ -315,12 +313,12 @@ class SeenPoints:
     ----------
     from_nodes : (r, 3 n) sparse        their displacements from those of all nodes
     from_corners : (r, 3 c) sparse      the same from those of `PushModel.corners`
-    vertices : (v, 3 n) sparse          as `from_nodes`, of all vertices and the tip
+    vertices : (v, 3 n) sparse or None  as `from_nodes`, of all vertices and the tip, if asked for
     """
 
     from_nodes: csr_array
     from_corners: csr_array
-    vertices: csr_array
+    vertices: csr_array | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -428,7 +426,7 @@ def _changed(
     here[:, 0] += (scale - 1.0) * missing
     response = _Changed(probe.response, along, expansion.poisson_ratio, *here.T)
     vertices = probe.vertices
-    if vertices is not None:
+    if vertices is not None and points.vertices is not None:
         there = points.vertices @ moved
         there[:, 0] += (scale - 1.0) * missed(vertices, points.vertices)
         vertices = _Changed(vertices, along, expansion.poisson_ratio, *there.T)
@@ -474,14 +472,15 @@ def _seen(
     """The corners about all observed points that are free, and the points of every probing."""
     solid = body.solid
     surface = TriangleMesh(solid.nodes, solid.facets[:, :3])
-    vertices, near, matrices = at_points(solid, session.mesh.vertices), [], []
+    asked, near, matrices = any(probe.vertices is not None for probe in observations), [], []
+    vertices = at_points(solid, session.mesh.vertices) if asked else None
     for probing, probe in zip(session.probings, observations, strict=False):
         points = probe.position
         if tip := probe.tip_displacement is not None:
             points = np.concatenate([points, probing.contact.point[None]])
         near.append(closest_points(surface, points))
         at_each = at_points(solid, points)
-        every = csr_array(vstack([vertices, at_each[-3:]])) if tip else vertices
+        every = csr_array(vstack([vertices, at_each[-3:]])) if tip and asked else vertices
         matrices.append((at_each, every))
     about = [surface.triangles[closest.triangle] for closest in near]
     corners = np.unique(

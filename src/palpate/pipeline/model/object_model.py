@@ -20,7 +20,7 @@ from palpate.bem import (
     held_system,
     make_solver,
 )
-from palpate.checkpoints import Cache, content_digest
+from palpate.checkpoints import Cache, Checkpoints, content_digest
 from palpate.geometry import SurfacePoints, closest_points, interpolation_matrix
 from palpate.pipeline.model.load_table import LoadTable, make_load_table
 from palpate.pipeline.model.supports import (
@@ -371,10 +371,14 @@ def probe_rows(
     missed = model.loads.missed_indentation(
         model.system.surface, columns, seen.triangle, seen.barycentric
     )
+    # Vertices miss nothing: zeros that take no memory.
+    indentation = np.broadcast_to(0.0, (2, len(particular), len(columns)))
+    if missed.any():
+        indentation = np.stack([seen.matrix @ part for part in missed])
     return ObservationMatrix(
         columns,
         csr_array(hstack(parts)),
-        np.stack([seen.matrix @ part for part in missed]),
+        indentation,
         particular,
         len(surface_points.triangle),
         known_loads,
@@ -442,7 +446,8 @@ def _samples(model: ObjectModel, average: SurfaceAverage) -> SurfacePoints:
     find = partial(closest_points, model.session.mesh, average.points)
     if not checkpoints.in_memory:
         return find()
-    return checkpoints.load_or_make(content_digest(("samples", average.points)), find)
+    key = content_digest((model.session.mesh, average.points))
+    return Checkpoints(checkpoints.folder, key).load_or_make("samples", find)
 
 
 def _own_perturbations(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:

@@ -362,7 +362,6 @@ def _series_response(
 ) -> ProbeResponse:
     """Response from the coefficients of the displacements and of the forces."""
 
-    @lru_cache(maxsize=1)
     def observed(poisson_ratio: float) -> Float[np.ndarray, "n rows c"]:
         x = mapdomain([poisson_ratio], ends, (-1.0, 1.0))
         parts = [
@@ -371,6 +370,9 @@ def _series_response(
         return np.concatenate(parts, axis=1)
 
     probe = probe.where_force_counts(observed(float(np.mean(ends)))[0])
+    if probe.changes:
+        # Value and change are asked for together.
+        observed = lru_cache(maxsize=1)(observed)
     # The series has taken the matrix up, which would be most of what a fit of many probings keeps.
     return ProbeResponse(replace(probe, surface=csr_array(probe.surface.shape)), observed)
 
