@@ -256,7 +256,8 @@ def _expansion(
         counts = [count for count, _ in made]
 
         def of_some(some: slice) -> Float[np.ndarray, "p a b"]:
-            return np.concatenate([make(moved[:, some]) for _, make in made], axis=2)
+            parts = [make(moved[:, some]) for _, make in made]
+            return np.concatenate(parts, axis=2, dtype=np.float32)
 
         derivative = MadeInParts(of_some)
     else:
@@ -279,14 +280,15 @@ def _under_unit_loads(
     if kept is None or kept[0] is not stiffness:
         kept = stiffness, model.corners[:0], np.zeros((3 * len(model.body.solid.nodes), 0))
     _, known, seen = kept
-    new = np.setdiff1d(model.corners, known)
-    if len(new):
-        known = np.concatenate([known, new])
+    if not np.array_equal(known, model.corners):
+        new = np.setdiff1d(model.corners, known)
+        every = np.concatenate([known, new])
         seen = np.hstack([seen, stiffness.displacements(model.unit_loads(new))])
-        memory[_UNIT_LOADS] = stiffness, known, seen
-    order = np.argsort(known)
-    place = order[np.searchsorted(known, model.corners, sorter=order)]
-    return seen[:, (3 * place[:, None] + np.arange(3)).ravel()]
+        order = np.argsort(every)
+        place = order[np.searchsorted(every, model.corners, sorter=order)]
+        seen = seen[:, (3 * place[:, None] + np.arange(3)).ravel()]
+        memory[_UNIT_LOADS] = stiffness, model.corners, seen
+    return seen
 
 
 def _by_place(
