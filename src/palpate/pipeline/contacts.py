@@ -33,8 +33,9 @@ from palpate.shapes import Points, Vector3, Vertices
 # Contact radii vary only with the cube root of the modulus, so they converge with the constants.
 # The relative tolerance is a tenth of the prior standard deviation of such a radius.
 _MOST_CONTACT_ROUNDS, _CONTACT_TOLERANCE = 8, 0.005
-# A contact that changes by less stays as it is, with what the model says of it: the modulus of the
-# given mesh alone wanders by a third of a per cent as places of further pushes settle.
+# On the graded mesh a contact that changes by less stays as it is, with what the model says of it:
+# the modulus of the given mesh alone wanders by a third of a per cent as places of further pushes
+# settle.
 _STILL, _SETTLED = 0.5 * _CONTACT_TOLERANCE, "settled contacts"
 # Slopes of the fitted modulus over the one that radii were computed for, beyond which a secant step
 # is no longer trusted.
