@@ -194,9 +194,9 @@ def test_a_plan_goes_on_from_another(found: NextProbings) -> None:
     fitted = fitted_body(fit_session(session))
     memory = Memory()
     after = plan_next(session, fitted=fitted, known=found, cache=memory)
-    # Only the place that was measured is left out, and the factors of the mesh are kept.
+    # Only the place that was measured is left out; the mesh's surface and its factors are kept.
     np.testing.assert_array_equal(after.point, np.delete(found.point, best, axis=0))
-    assert len(memory) == 1
+    assert len(memory) == 2
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(planning, "reachable_places", lambda *_, **__: (after.point, after.inward))
         anew = plan_next(session, fitted=fitted)
@@ -207,16 +207,17 @@ def test_a_plan_goes_on_from_another(found: NextProbings) -> None:
 
 
 def test_what_is_kept_in_memory_changes_no_bit() -> None:
-    """Factors and finite elements of the fit before, with other forces."""
+    """Surfaces and factors of the fit before, with other forces."""
     session, memory = _session(), Memory()
     (first,) = session.probings
     other = replace(session, probings=(replace(first, force=1.1 * first.force),))
     fit_session(other, cache=memory, material=Material.AUTO)
     before = dict(memory)
     estimate = fit_session(session, cache=memory, material=Material.AUTO).estimate
-    # All was there: three meshes' factors, and the elements.
+    # All was there: five surfaces, of four meshes and two kinds of fits, and the factors of all but
+    # the given one, whose faces are one element wide.
     assert memory.keys() == before.keys()
-    assert len(before) == 4
+    assert len(before) == 9
     anew = fit_session(session, material=Material.AUTO).estimate
     assert estimate.young_modulus == anew.young_modulus
     assert estimate.poisson_ratio == anew.poisson_ratio
