@@ -97,7 +97,9 @@ class Expansion:
     poisson_ratio : float           the reference
     value, slope : (l, r) float     displacement per unit of each entry of the load, and its
                                     derivative with respect to Poisson's ratio
-    effects : (k, l, r) float       change of the value per prior standard deviation of each error
+    effects : (k, u, r) float       change of the value per prior standard deviation of each error,
+                                    in the entries of the load that any of them changes
+    changed : (u,) int              these entries
     curvature : (r, o, o) float     second derivatives in its own o errors, the last ones, times
                                     the shear modulus
     """
@@ -105,7 +107,8 @@ class Expansion:
     poisson_ratio: float
     value: Float[np.ndarray, "l r"]
     slope: Float[np.ndarray, "l r"]
-    effects: Float[np.ndarray, "k l r"]
+    effects: Float[np.ndarray, "k u r"]
+    changed: Int[np.ndarray, " u"]
     curvature: Float[np.ndarray, "r o o"]
 
 
@@ -321,7 +324,7 @@ class Problem:
         errors = self._errors(index, theta)
         response = model.value + (theta[0] - model.poisson_ratio) * model.slope
         if errors.any():
-            response = response + np.tensordot(errors, model.effects, axes=1)
+            response[model.changed] += np.tensordot(errors, model.effects, axes=1)
         load = _in_terms(self.load(index, theta), modulus, len(response))
         bend = model.curvature @ unshared / modulus
         first = common - block.whole.start
@@ -332,7 +335,7 @@ class Problem:
         scaling = np.concatenate([-load[:4], np.zeros(len(load) - 4)])
         scaling[columns + 4 :] = load[columns + 4 :]
         table[1] = scaling @ response - 0.5 * bend @ unshared
-        effects = load @ model.effects
+        effects = load[model.changed] @ model.effects
         table[self.layout.errors.start + block.shared] = effects[:count]
         table[first + block.errors.start : first + block.errors.stop] = effects[count:] + bend.T
         force = response[:3] / modulus
@@ -464,16 +467,19 @@ def _expansion(
     effects = [nuisance.effects(at) for nuisance in seen.nuisances]
     terms = max([response.shape[1], *(effect.shape[1] for effect in effects)])
     columns = [response[..., None], (high - low)[..., None] / (2 * _STEP), *effects]
+    table = np.zeros((2 + len(order), terms, response.shape[2], len(response)))
     position = np.concatenate([[0, 1], 2 + np.argsort(order)])
-    table = np.zeros((len(position), terms, response.shape[2], len(response)))
     first = 0
     for values in columns:
         at_rows = probe.whitened(values).transpose(3, 1, 2, 0)
         table[position[first : first + len(at_rows)], : values.shape[1]] = at_rows
         first += len(at_rows)
     table = table.reshape(len(position), -1, len(response))
+    changed = np.flatnonzero(table[2:].any(axis=(0, 2)))
     unshared = order[len(order) - len(_own(probe, shared)) :]
-    return Expansion(poisson_ratio, table[0], table[1], table[2:], _curvature(probe, at, unshared))
+    curvature = _curvature(probe, at, unshared)
+    value, slope = table[:2].copy()
+    return Expansion(poisson_ratio, value, slope, table[2:, changed], changed, curvature)
 
 
 def _order(
@@ -512,4 +518,4 @@ def _fields(
     chosen = [k for k, number in enumerate(order) if parameters[number].is_model_error]
     load = np.concatenate([np.append(seen.force, 1.0) / shear_modulus, seen.motion])
     load = _in_terms(load, shear_modulus, len(model.value))
-    return (load @ model.effects[chosen]).T
+    return (load[model.changed] @ model.effects[chosen]).T
