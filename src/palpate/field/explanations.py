@@ -127,7 +127,7 @@ class Explanation:
 
     def _observations(self, model: FieldModel) -> list[ProbeObservations]:
         stiffness = _homogeneous(model, self.poisson_ratio)
-        expansion, _ = _expansion(model, stiffness, (self.cause,), loose=self.loose)
+        expansion, _ = _expansion(model, stiffness, (self.cause,), Memory(), self.loose)
         count = len(expansion.coefficients)
         return expansion.observations(smooth_prior(self.std * np.eye(count)))
 
@@ -170,7 +170,7 @@ def explanations(
         stiffness = memory[factors] = _homogeneous(model, ratio)
     # Pokes, which tell one number each, cannot tell the others.
     causes = tuple(Cause) if isinstance(model, PushModel) else (Cause.PLACE,)
-    expansion, parts = _expansion(model, stiffness, causes, memory=memory)
+    expansion, parts = _expansion(model, stiffness, causes, memory)
     # What is known of the coefficients of one cause does not depend on those of the others.
     information, score = information_about(expansion, minimum, expansion.coefficients)
     candidates = []
@@ -234,9 +234,8 @@ def _expansion(
     model: FieldModel,
     stiffness: GradedStiffness,
     causes: Sequence[Cause],
-    *,
+    memory: Memory,
     loose: Bool[np.ndarray, " h"] | None = None,
-    memory: Memory | None = None,
 ) -> tuple[FieldExpansion, list[slice]]:
     """The responses' change by some causes about the homogeneous body, or about one of which the
     support has let some held nodes go; the coefficients of each."""
@@ -251,7 +250,7 @@ def _expansion(
         change = model.seen(moved - before)
     derivative: MadeInParts | np.ndarray
     if isinstance(model, PushModel):
-        seen = _under_unit_loads(model, stiffness, Memory() if memory is None else memory)
+        seen = _under_unit_loads(model, stiffness, memory)
         made = [_DERIVATIVES[cause](model, stiffness, seen) for cause in causes]
         counts = [count for count, _ in made]
 

@@ -84,9 +84,12 @@ def with_consistent_contacts(
     NotConvergedError               force and displacements do not belong together
     """
     model, fitted, taken = None, list[float](), list[float]()
-    given = session.probings
-    earlier = cache.pushes.get(_SETTLED) if isinstance(cache, Memory) else None
-    session, is_new = (session, True) if earlier is None else earlier.start(session)
+    earlier, is_new, digests = None, True, list[str]()
+    if isinstance(cache, Memory):
+        earlier = cache.pushes.get(_SETTLED)
+        digests = list(map(content_digest, session.probings))
+    if earlier is not None:
+        session, is_new = earlier.start(session, digests)
     for iteration in range(_MOST_CONTACT_ROUNDS):
         # The number of iterations is not known: each takes half of the remaining progress.
         model, observations = ungraded_observations(
@@ -117,10 +120,12 @@ def with_consistent_contacts(
         observations = [replace(probe, vertices=None) for probe in observations]
         # Where a contact starts is not where the object moves it.
         if change < _CONTACT_TOLERANCE and not (is_new and iteration == 0):
-            nearer = session if earlier is None else earlier.followed(given, session)
+            nearer = session
+            if earlier is not None:
+                nearer = _with_known(session, digests, earlier.nearer)
             nearer = _changed_where_much(nearer, updated, _STILL)
             if isinstance(cache, Memory):
-                cache.pushes[_SETTLED] = _Settled.of(given, session, nearer, constants)
+                cache.pushes[_SETTLED] = _Settled.of(digests, session, nearer, constants)
             return session, observations, nearer
         previous, session = session, _changed_where_much(session, updated, _CONTACT_TOLERANCE)
     # What Poisson's ratio that hardly counts leaves of a change is within the error of the radii.
@@ -304,40 +309,33 @@ class _Settled:
     @classmethod
     def of(
         cls,
-        given: Sequence[Probing],
+        digests: Sequence[str],
         settled: Session,
         nearer: Session,
         constants: dict[str, float],
     ) -> "_Settled":
-        """Of the probings as they were given, and with the contacts that were found."""
-        digests = list(map(content_digest, given))
+        """Of probings with these digests, as they were given, and the contacts that were found."""
         before, after = (
             {digest: probing.contact for digest, probing in zip(digests, probings, strict=True)}
             for probings in (settled.probings, nearer.probings)
         )
         return cls(before, after, constants)
 
-    def start(self, session: Session) -> tuple[Session, bool]:
+    def start(self, session: Session, digests: Sequence[str]) -> tuple[Session, bool]:
         """A session with its contacts from these, or, of further probings, with radii that follow
         from the same constants; whether there are such probings."""
-        further = [content_digest(probing) not in self.contacts for probing in session.probings]
         settled = with_contact_radii(session, **self.constants)
-        return _with_known(session.probings, settled, self.contacts), any(further)
-
-    def followed(self, given: Sequence[Probing], session: Session) -> Session:
-        """A session with the contacts that followed from those that it has, where they did."""
-        return _with_known(given, session, self.nearer)
+        is_new = not self.contacts.keys() >= set(digests)
+        return _with_known(settled, digests, self.contacts), is_new
 
 
-def _with_known(
-    given: Sequence[Probing], session: Session, known: Mapping[str, Contact]
-) -> Session:
-    """A session with the contacts that are known by its probings as they were given."""
+def _with_known(session: Session, digests: Sequence[str], known: Mapping[str, Contact]) -> Session:
+    """A session with the contacts that are known by the digests of its probings as given."""
     return replace(
         session,
         probings=tuple(
-            replace(probing, contact=known.get(content_digest(own), probing.contact))
-            for own, probing in zip(given, session.probings, strict=True)
+            replace(probing, contact=known.get(digest, probing.contact))
+            for digest, probing in zip(digests, session.probings, strict=True)
         ),
     )
 

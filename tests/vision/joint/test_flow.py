@@ -403,9 +403,7 @@ def test_what_goes_under_a_tool_is_not_looked_for_in_the_last_instant(step):
     assert inner.sum() == 1
     lost = (column == rim) | inner
     direct = replace(last, outcome=np.where(lost, Outcome.SCORE, last.outcome))
-    np.testing.assert_array_equal(
-        _followable(replace(state, flow=last), direct), np.flatnonzero(inner)
-    )
+    np.testing.assert_array_equal(_followable(state.scene, last, direct), np.flatnonzero(inner))
 
 
 def test_pictures_that_show_something_else_are_rejected():

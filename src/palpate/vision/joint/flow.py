@@ -28,13 +28,7 @@ from palpate.vision.joint.sharpness import blur_difference, equally_sharp
 from palpate.vision.joint.vertices import vertex_displacement, with_average
 from palpate.vision.matching.dense_flow import dense_start
 from palpate.vision.matching.local_regression import Scatter, local_field
-from palpate.vision.matching.scene import (
-    Limits,
-    Scene,
-    advanced_scene,
-    make_scene,
-    scene_rows,
-)
+from palpate.vision.matching.scene import Limits, Scene, advanced_scene, make_scene, scene_rows
 from palpate.vision.matching.window import BASES
 from palpate.vision.projection import project
 from palpate.vision.range_flow import RangeFlow, VertexDisplacement, grid_triangles, is_valid
@@ -199,8 +193,7 @@ class JointFlow:
         flow, matched = self._flow(*equally_sharp(unsmoothed, now, later, blur), start)
         motion = np.where(is_valid(flow)[:, None, None], matched, start)
         after = JointState(scene, now, motion, flow, blur)
-        missing = _followable(state, flow)
-        if state.flow is None or len(missing) == 0:
+        if state.flow is None or not len(missing := _followable(scene, state.flow, flow)):
             return after, flow
         if unsmoothed is not scene:
             later = spline_pictures(now, scene.smoothing)
@@ -283,12 +276,10 @@ class JointFlow:
         return replace(after, motion=motion, flow=flow), flow
 
 
-def _followable(state: JointState, direct: RangeFlow) -> Int[np.ndarray, " m"]:
+def _followable(scene: Scene, last: RangeFlow, direct: RangeFlow) -> Int[np.ndarray, " m"]:
     """Points that were followed to the last instant and are missing now, where the surface of such
     points fills a window: the rest is beside a tool that goes on to cover it."""
-    if state.flow is None:
-        return np.zeros(0, dtype=np.int64)
-    scene, followed = state.scene, is_valid(state.flow)
+    followed = is_valid(last)
     missing = np.flatnonzero(followed & ~is_valid(direct))
     pixel = scene.pixel[followed]
     middle = pixel[grid_triangles(pixel, scene.step)].mean(axis=1)
