@@ -15,7 +15,7 @@ from jaxtyping import Float
 from palpate.bem import BoundarySurface, PressureDisc, disc_displacement, disc_potentials
 from palpate.checkpoints import Cache, Memory, content_digest
 from palpate.errors import InputError, NotConvergedError
-from palpate.estimation import FitSettings, ProbeObservations, joint_minimum
+from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
 from palpate.geometry import (
     CREASE_ANGLE,
     TriangleMesh,
@@ -107,13 +107,8 @@ def with_consistent_contacts(
         }
         updated = session
         if displaced:
-            # Under the forces that were measured.
-            theta = np.zeros_like(best.theta)
-            theta[:2] = best.theta[:2]
-            moved = (best.problem.predicted_surface(k, theta) for k in range(len(observations)))
-            known = [surface for surface in moved if surface is not None]
             surface = model.system.surface if model else session_surface(session, cache=cache)
-            updated = displaced_contacts(session, surface, known, **constants)
+            updated = displaced_contacts(session, surface, _moved(best), **constants)
         updated = with_contact_radii(updated, **constants)
         change = largest_change(session, updated)
         # Responses of all vertices are large, and not needed any more.
@@ -136,6 +131,14 @@ def with_consistent_contacts(
         " force and the displacements do not belong together; check tool_radius and the unit of"
         " the force"
     )
+
+
+def _moved(best: Evaluation) -> list[Vertices]:
+    """Displacement of the vertices in each push [m], under the forces that were measured."""
+    problem, theta = best.problem, np.zeros_like(best.theta)
+    theta[:2] = best.theta[:2]
+    moved = (problem.predicted_surface(k, theta) for k in range(len(problem.probes)))
+    return [surface for surface in moved if surface is not None]
 
 
 def has_tools(session: Session) -> bool:
