@@ -81,17 +81,19 @@ def test_a_scale_stretches_one_component() -> None:
 
 
 def test_a_pose_takes_the_field_of_the_vertices() -> None:
-    """A change that doubles every vertex's displacement doubles what is seen, not the tip's."""
+    """Slopes along both sides that are the displacement itself: what is seen changes by as much as
+    it is shifted along them together, and the tip does not."""
     probe = replace(_probes(tip=True)[0])
     count = len(probe.position)
     whole = csr_array(np.eye(count))
-    change = PoseChanges(whole, (whole,), np.zeros((1, 3, 3)))
+    shifts = np.tile([0.75, -0.5], (1, count, 1))
+    change = PoseChanges(whole, (whole, whole), shifts, np.zeros((1, 3, 3)))
     pose = pose_error(
         1e-4, 0.0, change, probe.response.value, lambda _: np.zeros((1, 3 * count, 4))
     )
     columns = _columns(pose, probe)
     moved = _predicted(probe, probe.force)
-    np.testing.assert_allclose(columns[:-3, 0], moved[:-3], rtol=1e-12)
+    np.testing.assert_allclose(columns[:-3, 0], 0.25 * moved[:-3], rtol=1e-12)
     assert not columns[-3:].any()
     assert [parameter.name for parameter in pose.parameters] == [
         f"shift of the object along {axis}" for axis in "xyz"

@@ -35,6 +35,8 @@ from palpate.vision import space_strains
 _LARGE_STD = 10.0
 # Small rotations about x, y and z.
 _TURNS = np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
+# Barycentric coordinates along two sides of a triangle.
+_SIDES = np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]])
 Response = Callable[[float], Float[np.ndarray, "v c"]]
 # Sources in the uncertainty budget, whichever the sensor.
 _GAIN, _TURN = "gain of the force sensor", "turn of the force sensor"
@@ -52,18 +54,21 @@ class PoseChanges:
     Attributes
     ----------
     here : (n, v) sparse            takes displacements of the v vertices to those at the n points
-    shifts : tuple of p (n, v) sparse   takes them to their change with the place
+    slopes : two (n, v) sparse      takes them to their derivatives along two sides of the triangles
+    shifts : (p, n, 2) float [-]    by how much of these sides the points are shifted
     turns : (p, 3, 3) float         takes displacements at the points to their change with the turn
     """
 
     here: csr_array
-    shifts: tuple[csr_array, ...]
+    slopes: tuple[csr_array, csr_array]
+    shifts: Float[np.ndarray, "p n 2"]
     turns: Float[np.ndarray, "p 3 3"]
 
     def at(self, points: Int[np.ndarray, " m"]) -> "PoseChanges":
         """Of some of the points."""
-        return replace(
-            self, here=self.here[points], shifts=tuple(each[points] for each in self.shifts)
+        first, second = self.slopes
+        return PoseChanges(
+            self.here[points], (first[points], second[points]), self.shifts[:, points], self.turns
         )
 
     def of(self, vertices: Float[np.ndarray, "rows c"]) -> Float[np.ndarray, "r c p"]:
@@ -78,11 +83,10 @@ class PoseChanges:
         # Components of one vertex in a row: all are interpolated alike.
         field = vertices[: 3 * count].reshape(count, -1)
         here = (self.here @ field).reshape(points, 3, columns)
-        moved = [
-            (shift @ field).reshape(here.shape) + turn @ here
-            for shift, turn in zip(self.shifts, self.turns, strict=True)
-        ]
-        return np.stack(moved, axis=3).reshape(3 * points, columns, -1)
+        slopes = np.stack([slope @ field for slope in self.slopes], axis=2)
+        shifted = (slopes @ self.shifts.transpose(1, 2, 0)).reshape(*here.shape, -1)
+        turned = np.moveaxis(self.turns[:, None] @ here, 0, 3)
+        return (shifted + turned).reshape(3 * points, columns, -1)
 
 
 def shared_errors(
@@ -149,13 +153,15 @@ def pose_changes(model: ObjectModel, points: SurfacePoints) -> PoseChanges | Non
     chosen = np.flatnonzero(stds)
     if not chosen.size:
         return None
-    nodes, count = model.system.surface.displacement, points.triangle.size
-    both = interpolation_matrix(nodes, *_beside(model, points))
-    changes = csr_array(both[: chosen.size * count] - both[chosen.size * count :])
-    shifts = tuple(changes[row * count : (row + 1) * count] for row in range(chosen.size))
+    nodes, place = model.system.surface.displacement, points.barycentric
+
+    def at(barycentric: Float[np.ndarray, "n 3"]) -> csr_array:
+        return interpolation_matrix(nodes, points.triangle, barycentric)
+
+    # Of quadratic shape functions a central difference is the derivative, whatever its step.
+    first, second = (csr_array(at(place + half) - at(place - half)) for half in 0.5 * _SIDES)
     turns = np.concatenate([np.zeros((3, 3, 3)), _TURNS]) * stds[:, None, None]
-    here = csr_array(interpolation_matrix(nodes, points.triangle, points.barycentric))
-    return PoseChanges(here, shifts, turns[chosen])
+    return PoseChanges(at(place), (first, second), _shifts(model, points), turns[chosen])
 
 
 def pose_dips(
@@ -193,24 +199,24 @@ def _pose_stds(session: Session) -> Float[np.ndarray, "6"]:
     return np.repeat([priors.pose_translation, priors.pose_rotation], 3)
 
 
+def _shifts(model: ObjectModel, points: SurfacePoints) -> Float[np.ndarray, "p n 2"]:
+    """Shift of points relative to the mesh, if that is off by a standard deviation of each of p
+    poses, over two sides of their triangles; its part normal to these has no effect."""
+    mesh, stds = model.session.mesh, _pose_stds(model.session)
+    chosen = np.flatnonzero(stds)
+    modes = rigid_modes(points.position, mesh.vertices.mean(axis=0))[:, :, chosen] * stds[chosen]
+    sides = _SIDES @ mesh.vertices[mesh.triangles[points.triangle]]
+    return -np.moveaxis(np.linalg.pinv(sides.swapaxes(1, 2)) @ modes, 2, 0)
+
+
 def _beside(
     model: ObjectModel, points: SurfacePoints
 ) -> tuple[Int[np.ndarray, " q"], Float[np.ndarray, "q 3"]]:
     """Triangles and barycentric coordinates of where points lie if the mesh is off by half a
     standard deviation of each of p poses one way, then the other; 2 p n points in all."""
-    mesh, stds = model.session.mesh, _pose_stds(model.session)
-    chosen = np.flatnonzero(stds)
-    modes = rigid_modes(points.position, mesh.vertices.mean(axis=0))[:, :, chosen] * stds[chosen]
-    corner = mesh.vertices[mesh.triangles[points.triangle]]
-    # From a shift to the change of barycentric coordinates; its normal component has no effect.
-    inverse = np.linalg.pinv(
-        np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], 2)
-    )
-    two = -0.5 * np.einsum("nij,njk->kni", inverse, modes)
-    half = np.concatenate([-two.sum(axis=2, keepdims=True), two], axis=2)
-    # Central difference of the element's quadratic shape functions about the point.
+    half = 0.5 * _shifts(model, points) @ _SIDES
     sides = np.concatenate([points.barycentric + half, points.barycentric - half]).reshape(-1, 3)
-    return np.tile(points.triangle, 2 * chosen.size), sides
+    return np.tile(points.triangle, 2 * len(half)), sides
 
 
 def force_gain(std: float, sensor: str = "") -> Nuisance:
