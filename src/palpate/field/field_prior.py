@@ -11,8 +11,8 @@ About a field b0 the data say of b, everything else marginalised, exp(-b'H b / 2
 up to a constant. It is 0 for s = 0: a body that is the same everywhere.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +27,9 @@ STDS = 0.05 * 2.0 ** np.arange(6)
 _LONGEST, _EDGE = 1.0, 0.125
 # Most modes, and the variance of a field over its prior's that may remain without them.
 _MOST_MODES, _LEFT = 300, 0.01
+
+# What the data say of some coefficients: H and h.
+_Known = tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +99,11 @@ class FieldModes:
         for length in self.lengths:
             mixing = self.mixing_of(FieldPrior(1.0, float(length), 1.0))
             about, along = mixing.T @ information @ mixing, mixing.T @ score
-            for std, layer_std in product(STDS, (0.0, *STDS)):
-                scale = np.full(len(along), std)
-                scale[len(along) - self.layers :] = layer_std
-                evidence = _log_evidence(scale[:, None] * about * scale, scale * along)
-                if evidence > best.log_evidence:
-                    best = FieldPrior(float(std), float(length), float(layer_std), evidence)
+            for std, evidence, of_layers in _marginalised(about, along, self.layers):
+                for layer_std in (0.0, *STDS):
+                    with_layers = evidence + _log_evidence(of_layers, layer_std)
+                    if with_layers > best.log_evidence:
+                        best = FieldPrior(std, float(length), float(layer_std), with_layers)
         return best
 
 
@@ -171,6 +173,21 @@ def _matern(distance: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
     return (1.0 + scaled) * np.exp(-scaled)
 
 
+def _marginalised(
+    information: Float[np.ndarray, "k k"], score: Float[np.ndarray, " k"], layers: int
+) -> Iterator[tuple[float, float, _Known]]:
+    """For each standard deviation of the modes before the last ones, which are layers: their log
+    evidence, and what the data say of the layers with these marginalised."""
+    few = slice(len(score) - layers, None)
+    value, vector = np.linalg.eigh(information[: few.start, : few.start])
+    cross, along = vector.T @ information[: few.start, few], vector.T @ score[: few.start]
+    for std in STDS:
+        variance = std**2 / (1.0 + std**2 * value)
+        evidence = 0.5 * float(variance @ along**2 - np.log1p(std**2 * value).sum())
+        rest = information[few, few] - (cross.T * variance) @ cross
+        yield float(std), evidence, (rest, score[few] - cross.T @ (variance * along))
+
+
 def best_evidence(
     information: Float[np.ndarray, "k k"],
     score: Float[np.ndarray, " k"],
@@ -184,11 +201,12 @@ def best_evidence(
     information, score : (k, k), (k,) float     H and h
     stds : (s,) float               that are tried
     """
-    return max((_log_evidence(std**2 * information, std * score), float(std)) for std in stds)
+    return max((_log_evidence((information, score), std), float(std)) for std in stds)
 
 
-def _log_evidence(information: Float[np.ndarray, "j j"], score: Float[np.ndarray, " j"]) -> float:
-    """Log evidence of coefficients that are standard normal."""
-    factor = np.linalg.cholesky(np.eye(len(score)) + information)
-    half = solve_triangular(factor, score, lower=True)
+def _log_evidence(known: _Known, std: float) -> float:
+    """Log evidence of coefficients that are independent and of one standard deviation."""
+    information, score = known
+    factor = np.linalg.cholesky(np.eye(len(score)) + std**2 * information)
+    half = solve_triangular(factor, std * score, lower=True)
     return float(0.5 * half @ half - np.log(np.diag(factor)).sum())
