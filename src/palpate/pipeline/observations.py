@@ -33,6 +33,7 @@ from palpate.pipeline.model.object_model import (
     probe_columns,
     probe_rows,
 )
+from palpate.pipeline.model.pose import PoseChanges, pose_changes
 from palpate.pipeline.model.responses import (
     ProbeResponse,
     full_responses,
@@ -40,7 +41,7 @@ from palpate.pipeline.model.responses import (
     settlement,
     spring_responses,
 )
-from palpate.pipeline.model.shared_errors import PoseChanges, pose_changes, shared_errors
+from palpate.pipeline.model.shared_errors import shared_errors
 from palpate.pipeline.model.supports import free_std, given_motion
 from palpate.pipeline.once import made_once
 from palpate.progress import Progress, part_of, silent

@@ -14,12 +14,11 @@ from palpate.estimation import (
     ProbeObservations,
     ResponseTerms,
 )
+from palpate.pipeline.model.pose import PoseChanges, pose_error
 from palpate.pipeline.model.shared_errors import (
-    PoseChanges,
     force_direction,
     force_gain,
     length_scale,
-    pose_error,
     tool_slip,
 )
 
