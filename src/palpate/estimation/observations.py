@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from palpate.arrays import fixed_array
 from palpate.errors import InputError
 from palpate.records import INDEPENDENT, PointCorrelation
-from palpate.shapes import Points, Vector3
+from palpate.shapes import Points, Vector3, Vertices
 
 
 @runtime_checkable
@@ -209,6 +209,20 @@ class ProbeObservations:
                     f"{label}{name} is {getattr(self, name)}; every component must be >= 0 "
                     "(0 = exact)"
                 )
+
+    def surface(self, load: Float[np.ndarray, " c"], poisson_ratio: float) -> Vertices | None:
+        """Displacement of all vertices, (v, 3) [m]; None without their response.
+
+        Parameters
+        ----------
+        load : (c,) float               one entry for each column of `ResponseModel`
+        poisson_ratio : float [-]
+        """
+        if self.vertices is None:
+            return None
+        moved = self.vertices.value(poisson_ratio) @ load
+        # Rows of a measured contact point follow those of the vertices.
+        return (moved if self.tip_displacement is None else moved[:-3]).reshape(-1, 3)
 
     def response_terms(self, poisson_ratio: float) -> Float[np.ndarray, "n_rows t c"]:
         """The response in t = 1 or 2 terms (`ResponseTerms`): two where it depends on the modulus.

@@ -302,11 +302,7 @@ class Problem:
     def predicted_surface(self, index: int, theta: Float[np.ndarray, " t"]) -> Vertices | None:
         """Displacement of all vertices in a probing, (v, 3) [m]; None without their response."""
         seen = self.probes[index].observations
-        if seen.vertices is None:
-            return None
-        moved = seen.vertices.value(float(theta[0])) @ self.load(index, theta)
-        # Rows of a measured contact point follow those of the vertices.
-        return (moved if seen.tip_displacement is None else moved[:-3]).reshape(-1, 3)
+        return seen.surface(self.load(index, theta), float(theta[0]))
 
     def _errors(self, index: int, theta: Float[np.ndarray, " t"]) -> Float[np.ndarray, " k"]:
         """Errors of one probing, in the order of its expansion."""

@@ -6,8 +6,9 @@ surface, by a millimetre where the object moves by four, and that of a ball most
 where the surface faces it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +16,7 @@ from jaxtyping import Float
 from palpate.bem import BoundarySurface, PressureDisc, disc_displacement, disc_potentials
 from palpate.checkpoints import Cache, Memory, content_digest
 from palpate.errors import InputError, NotConvergedError
-from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
+from palpate.estimation import FitSettings, ProbeObservations, joint_minimum
 from palpate.geometry import (
     CREASE_ANGLE,
     TriangleMesh,
@@ -84,43 +85,36 @@ def with_consistent_contacts(
     NotConvergedError               force and displacements do not belong together
     """
     model, fitted, taken = None, list[float](), list[float]()
-    earlier, is_new, digests = None, True, list[str]()
+    earlier, digests, every = None, list[str](), range(len(session.probings))
+    observe = partial(ungraded_observations, settings=settings, cache=cache, with_surface=displaced)
     if isinstance(cache, Memory):
         earlier = cache.pushes.get(_SETTLED)
         digests = list(map(content_digest, session.probings))
-    if earlier is not None:
-        session, is_new = earlier.start(session, digests)
+        if earlier is not None:
+            surface = session_surface(session, cache=cache) if displaced else None
+            session = earlier.start(session, digests, surface, observe)
     for iteration in range(_MOST_CONTACT_ROUNDS):
         # The number of iterations is not known: each takes half of the remaining progress.
-        model, observations = ungraded_observations(
-            session, settings=settings, cache=cache, like=model,
-            with_surface=displaced,
-            progress=part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1)),
-        )  # fmt: skip
+        part = part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1))
+        model, observations = observe(session, like=model, progress=part)
         best = joint_minimum(observations, settings)
         fitted.append(float(best.theta[1]))
         # Where contacts are known, it is a new one that moves the modulus, and no secant of it.
         taken.append(_consistent_modulus(taken, fitted) if earlier is None else fitted[-1])
-        constants = {
-            "shear_modulus": float(np.exp(taken[-1])),
-            "poisson_ratio": min(best.poisson_ratio, _LARGEST_RATIO),
-        }
-        updated = session
+        surface = None
         if displaced:
             surface = model.system.surface if model else session_surface(session, cache=cache)
-            updated = displaced_contacts(session, surface, _moved(best), **constants)
-        updated = with_contact_radii(updated, **constants)
+        updated = _followed(session, every, observations, surface, best.theta[:2], taken[-1])
         change = largest_change(session, updated)
         # Responses of all vertices are large, and not needed any more.
         observations = [replace(probe, vertices=None) for probe in observations]
-        # Where a contact starts is not where the object moves it.
-        if change < _CONTACT_TOLERANCE and not (is_new and iteration == 0):
+        if change < _CONTACT_TOLERANCE:
             nearer = session
             if earlier is not None:
                 nearer = _with_known(session, digests, earlier.nearer)
             nearer = _changed_where_much(nearer, updated, _STILL)
             if isinstance(cache, Memory):
-                cache.pushes[_SETTLED] = _Settled.of(digests, session, nearer, constants)
+                cache.pushes[_SETTLED] = _Settled.of(digests, session, nearer, best.theta[:2])
             return session, observations, nearer
         previous, session = session, _changed_where_much(session, updated, _CONTACT_TOLERANCE)
     # What Poisson's ratio that hardly counts leaves of a change is within the error of the radii.
@@ -133,12 +127,43 @@ def with_consistent_contacts(
     )
 
 
-def _moved(best: Evaluation) -> list[Vertices]:
-    """Displacement of the vertices in each push [m], under the forces that were measured."""
-    problem, theta = best.problem, np.zeros_like(best.theta)
-    theta[:2] = best.theta[:2]
-    moved = (problem.predicted_surface(k, theta) for k in range(len(problem.probes)))
-    return [surface for surface in moved if surface is not None]
+def _followed(
+    session: Session,
+    chosen: Sequence[int],
+    observations: Sequence[ProbeObservations],
+    surface: BoundarySurface | None,
+    constants: Float[np.ndarray, "2"],
+    log_modulus: float | None = None,
+) -> Session:
+    """A session with some of its contacts as they follow from constants.
+
+    Parameters
+    ----------
+    observations : sequence of k ProbeObservations      of all k probings
+    surface : BoundarySurface or None   of the object; None: contacts stay where they are
+    constants : (2,) float              nu and log G
+    log_modulus : float or None         log G for which contacts are computed, if another
+    """
+    part = replace(session, probings=tuple(session.probings[k] for k in chosen))
+    ratio, modulus = float(constants[0]), float(np.exp(constants[1]))
+    for_tools = {
+        "shear_modulus": modulus if log_modulus is None else float(np.exp(log_modulus)),
+        "poisson_ratio": min(ratio, _LARGEST_RATIO),
+    }
+    if surface is not None:
+        # Under the forces that were measured.
+        seen = [observations[k] for k in chosen]
+        loads = [np.append(probe.force, 1.0) / modulus for probe in seen]
+        surfaces = (
+            probe.surface(np.concatenate([load, probe.motion]), ratio)
+            for probe, load in zip(seen, loads, strict=True)
+        )
+        moved = [displacement for displacement in surfaces if displacement is not None]
+        part = displaced_contacts(part, surface, moved, **for_tools)
+    probings = list(session.probings)
+    for k, probing in zip(chosen, with_contact_radii(part, **for_tools).probings, strict=True):
+        probings[k] = probing
+    return replace(session, probings=tuple(probings))
 
 
 def has_tools(session: Session) -> bool:
@@ -302,12 +327,12 @@ class _Settled:
     ----------
     contacts : digest -> Contact    by the probings as they were given
     nearer : digest -> Contact      those that follow from these, a step nearer
-    constants : name -> float       of which these are the contacts
+    constants : (2,) float          nu and log G, of which these are the contacts
     """
 
     contacts: dict[str, Contact]
     nearer: dict[str, Contact]
-    constants: dict[str, float]
+    constants: Float[np.ndarray, "2"]
 
     @classmethod
     def of(
@@ -315,7 +340,7 @@ class _Settled:
         digests: Sequence[str],
         settled: Session,
         nearer: Session,
-        constants: dict[str, float],
+        constants: Float[np.ndarray, "2"],
     ) -> "_Settled":
         """Of probings with these digests, as they were given, and the contacts that were found."""
         before, after = (
@@ -324,12 +349,31 @@ class _Settled:
         )
         return cls(before, after, constants)
 
-    def start(self, session: Session, digests: Sequence[str]) -> tuple[Session, bool]:
-        """A session with its contacts from these, or, of further probings, with radii that follow
-        from the same constants; whether there are such probings."""
-        settled = with_contact_radii(session, **self.constants)
-        is_new = not self.contacts.keys() >= set(digests)
-        return _with_known(settled, digests, self.contacts), is_new
+    def start(
+        self,
+        session: Session,
+        digests: Sequence[str],
+        surface: BoundarySurface | None,
+        observe: Callable[[Session], tuple[object, Sequence[ProbeObservations]]],
+    ) -> Session:
+        """A session with its contacts from these, or, of further probings, with those that follow
+        from the same constants.
+
+        Parameters
+        ----------
+        surface : BoundarySurface or None       as in `_followed`
+        observe : function                      session -> observations with its contacts
+        """
+        further = [k for k, digest in enumerate(digests) if digest not in self.contacts]
+        session = _with_known(session, digests, self.contacts)
+        session = _followed(session, further, [], None, self.constants)
+        for _ in range(_MOST_CONTACT_ROUNDS if further else 0):
+            _, observations = observe(session)
+            updated = _followed(session, further, observations, surface, self.constants)
+            if largest_change(session, updated) < _CONTACT_TOLERANCE:
+                break
+            session = updated
+        return session
 
 
 def _with_known(session: Session, digests: Sequence[str], known: Mapping[str, Contact]) -> Session:
