@@ -82,13 +82,18 @@ def match_scene(
     match = _refined(scene, every, moved, start, scene.seen, noise, first)
     noise = _noise(match)
     match = _without_one_camera(scene, every, moved, match, start, noise, quick)
+    fits = _fits(match, noise)
     for _ in range(_RETRIES):
-        again, restart = _second_tries(scene, match, noise)
+        again, restart = _second_tries(scene, match, fits)
         if len(again) == 0:
             break
         tried = _refined(scene, again, moved, restart, scene.seen[again], noise, quick)
         tried = _without_one_camera(scene, again, moved, tried, restart, noise, quick)
         match = _replaced(match, tried, again)
+        before, fits = fits, _fits(match, noise)
+        # Neighbours would say the same again.
+        if np.array_equal(fits, before):
+            break
     known, inflation = _with_derivatives(scene, match)
     rows = np.flatnonzero(np.isfinite(known).all(axis=(1, 2)))
     final = limits._replace(bases=BASES[shape])
@@ -229,10 +234,9 @@ def _replaced(match: Match, other: Match, rows: Int[np.ndarray, " k"]) -> Match:
 
 
 def _second_tries(
-    scene: Scene, match: Match, noise: Float[np.ndarray, " c"]
+    scene: Scene, match: Match, fits: Bool[np.ndarray, " n"]
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 6 3"]]:
     """Points that were lost or fit badly, and starts from their neighbours' motion."""
-    fits = _fits(match, noise)
     may = np.isin(match.outcome, (Outcome.LOST, Outcome.VALID, Outcome.OUTSIDE))
     rows = np.flatnonzero(may & ~fits)
     guess = _predicted_motion(scene, match, fits, rows)
