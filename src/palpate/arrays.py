@@ -1,5 +1,5 @@
 """Array helpers: validated read-only copies for frozen dataclasses, replacing rows, vector lengths,
-tangents of a normal, medians that ignore missing values."""
+components of nodes, tangents of a normal, medians that ignore missing values."""
 
 from collections.abc import Sequence
 from typing import Any, TypeGuard
@@ -44,6 +44,20 @@ def lengths(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
     """
     x, y, z = np.moveaxis(vectors, -1, 0)
     return np.sqrt(x * x + y * y + z * z)
+
+
+def components_of(nodes: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n3"]:
+    """Numbers of the three components of some nodes among those of all, node after node.
+
+    Parameters
+    ----------
+    nodes : (n,) int
+
+    Returns
+    -------
+    (3 n,) int
+    """
+    return (3 * nodes[:, None] + np.arange(3)).ravel()
 
 
 def tangents_of(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2 3"]:

@@ -73,6 +73,11 @@ class Checkpoints:
     key: str = ""
     cache: bool = False
 
+    def kept_in_memory(self, name: str, make: Callable[[], T]) -> T:
+        """As `load_or_make`, of a part that is made sooner than it is read from a file: kept in
+        memory only."""
+        return self.load_or_make(name, make) if self.in_memory else make()
+
     @property
     def in_memory(self) -> bool:
         """True if parts are kept in memory, not in files."""

@@ -33,6 +33,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.linalg import block_diag
 from scipy.spatial import cKDTree
 
+from palpate.arrays import components_of
 from palpate.checkpoints import Cache, Memory, content_digest
 from palpate.estimation import Evaluation, FitSettings, ProbeObservations, joint_minimum
 from palpate.field.field_fit import (
@@ -285,7 +286,7 @@ def _under_unit_loads(
         seen = np.hstack([seen, stiffness.displacements(model.unit_loads(new))])
         order = np.argsort(every)
         place = order[np.searchsorted(every, model.corners, sorter=order)]
-        seen = seen[:, (3 * place[:, None] + np.arange(3)).ravel()]
+        seen = seen[:, components_of(place)]
         memory[_UNIT_LOADS] = stiffness, model.corners, seen
     return seen
 

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array, kron, vstack
 
+from palpate.arrays import components_of
 from palpate.errors import InputError
 from palpate.estimation import (
     PLACES,
@@ -370,14 +371,14 @@ class PushModel(FieldModel):
         # Whichever takes fewer solutions.
         if basis.shape[1] * moved.shape[1] < 3 * len(self.corners):
             changes = stiffness.changes(moved, basis)
-            return changes[:, _unknowns(self.corners)]
+            return changes[:, components_of(self.corners)]
         seen = stiffness.displacements(self.unit_loads(self.corners))
         return stiffness.sensitivities(seen, moved, basis)
 
     def unit_loads(self, corners: Int[np.ndarray, " c"]) -> Float[np.ndarray, "n3 c3"]:
         """One newton on each component of some nodes."""
         loads = np.zeros((3 * len(self.body.solid.nodes), 3 * len(corners)))
-        loads[_unknowns(corners), np.arange(loads.shape[1])] = 1.0
+        loads[components_of(corners), np.arange(loads.shape[1])] = 1.0
         return loads
 
     def changed(
@@ -388,10 +389,6 @@ class PushModel(FieldModel):
             _changed(expansion, k, probe, points, prior)
             for k, (probe, points) in enumerate(zip(self.observations, self.points, strict=True))
         ]
-
-
-def _unknowns(nodes: Int[np.ndarray, " c"]) -> Int[np.ndarray, " c3"]:
-    return (3 * nodes[:, None] + np.arange(3)).ravel()
 
 
 def _changed(

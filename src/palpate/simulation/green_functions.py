@@ -41,7 +41,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg.lapack import dpotrf
 
-from palpate.arrays import fix_fields
+from palpate.arrays import components_of, fix_fields
 from palpate.bem import BoundarySystem, CentredSystem, SurfaceLoad, load_right_hand, solve
 from palpate.disk import write_bytes, write_errors
 from palpate.errors import InputError, PalpateError, RecordError
@@ -272,7 +272,7 @@ def _positive_definite_nodes(square: Float[np.ndarray, "m m"]) -> Int[np.ndarray
     symmetric = square + square.T
     remaining = np.arange(len(square) // 3)
     while len(remaining):
-        rows = (3 * remaining[:, None] + np.arange(3)).ravel()
+        rows = components_of(remaining)
         # Order of the first leading minor that is not positive; 0 if all are.
         order = dpotrf(symmetric[np.ix_(rows, rows)])[1]
         if not order:
@@ -437,7 +437,7 @@ def _map_responses(
         for stiffness in (changed.uneven, changed.even)
     )
     bend = (change - at @ (uneven - even)).reshape(count, 3, -1)[nodes] / _STEP
-    rows = (3 * nodes[:, None] + np.arange(3)).ravel()
+    rows = components_of(nodes)
     seen = changed.uneven.displacements(at[rows].toarray().T)
     changes = np.zeros((len(rows), len(rows), changed.directions.shape[1]))
     for part in _parts(len(rows)):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import brentq
 
-from palpate.arrays import fixed_array
+from palpate.arrays import components_of, fixed_array
 from palpate.contact import ContactState, move_tools, untouched
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, area_vectors, quadratic_shapes, triangle_areas
@@ -206,7 +206,7 @@ def _candidates(body: Body, tip: Tip, reach: float) -> _Candidates:
         )
     free = np.cumsum(~body.held) - 1
     right = np.zeros((body.factor.size, 3 * len(nodes)))
-    rows = (3 * free[nodes][:, None] + np.arange(3)).ravel()
+    rows = components_of(free[nodes])
     right[rows, np.arange(len(rows))] = 1.0
     half = body.factor.half_solve(right)
     return nodes, solid.nodes[nodes], half.T @ half

@@ -15,6 +15,7 @@ from scipy.linalg.blas import dgemm, dsyrk
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
+from palpate.arrays import components_of
 from palpate.errors import SingularSystemError
 
 # Below this many nodes further dissection saves nothing.
@@ -205,7 +206,7 @@ def _front(
 
     Only the upper triangle of a front's matrix is filled, except in the block of its own unknowns.
     """
-    eliminated, later = _unknowns(eliminated), _unknowns(later)
+    eliminated, later = components_of(eliminated), components_of(later)
     everything = np.concatenate([eliminated, later])
     position[everything] = np.arange(len(everything))
     size = len(everything)
@@ -213,7 +214,7 @@ def _front(
     full[len(eliminated) :] = 0.0
     full[: len(eliminated)] = rows[eliminated][:, everything].toarray()
     for nodes, added in children:
-        _add_kernel(full, len(eliminated), position[_unknowns(nodes)], added)
+        _add_kernel(full, len(eliminated), position[components_of(nodes)], added)
     k = len(eliminated)
     try:
         lower = cholesky(full[:k, :k], lower=True, check_finite=False)
@@ -241,8 +242,3 @@ def _add_kernel(full: np.ndarray, eliminated: int, at: np.ndarray, added: np.nda
             full[first, last] += added[i, j]
             if last < eliminated and first < last:
                 full[last, first] += added[i, j]
-
-
-def _unknowns(nodes: np.ndarray) -> np.ndarray:
-    """The three unknowns of each node."""
-    return (3 * nodes[:, None] + np.arange(3)).ravel()

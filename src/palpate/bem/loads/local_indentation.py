@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
-from palpate.arrays import lengths
+from palpate.arrays import components_of, lengths
 from palpate.bem.integrals.assembly import kernel_integrals
 from palpate.bem.integrals.kelvin import TRACTION, traction_parts
 from palpate.bem.integrals.surface import BoundarySurface, Quadrature
@@ -121,7 +121,7 @@ def load_right_hand(
         k: correction for k, correction in enumerate(corrections or ()) if correction is not None
     }
     if known:
-        columns = (3 * np.array([*known])[:, None] + np.arange(3)).ravel()
+        columns = components_of(np.array([*known]))
         right.terms[:, :, columns] += correction_columns(system, [*known.values()]).terms
     return right
 

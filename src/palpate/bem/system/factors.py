@@ -27,6 +27,7 @@ from jaxtyping import Float, Int
 from scipy.linalg import get_blas_funcs, get_lapack_funcs, lu_factor, lu_solve, orth
 from scipy.sparse import block_diag, csr_array, eye_array
 
+from palpate.arrays import components_of
 from palpate.bem.integrals.assembly import Collocation
 from palpate.bem.integrals.surface import BoundarySurface
 from palpate.bem.system.matrix import SystemSlope, matrix_and_slope, system_matrix
@@ -262,7 +263,7 @@ def bases(projectors: Float[np.ndarray, "n 3 3"]) -> csr_array:
     vector[is_identity] = np.eye(3)
     block, column = np.nonzero(in_range)
     data = vector[block, :, column].ravel()
-    row = (3 * block[:, None] + np.arange(3)).ravel()
+    row = components_of(block)
     number = np.repeat(np.arange(block.size), 3)
     return csr_array((data, (row, number)), shape=(3 * len(projectors), block.size))
 

@@ -23,6 +23,7 @@ from jaxtyping import Float, Int
 from scipy.linalg import lu_factor, lu_solve
 from scipy.sparse import csr_array
 
+from palpate.arrays import components_of
 from palpate.bem.integrals.surface import integral_weights
 from palpate.bem.system.factors import FactorisedSystem, bases, solve
 from palpate.bem.system.matrix import SystemSlope
@@ -104,7 +105,7 @@ def make_springs(
     held = unknowns.held_vertices
     basis = bases(unknowns.vertex_directions * (weight[held].sum(axis=1) > 0.0)[:, None, None])
     # From the held vertices to all vertices, three rows each.
-    rows = (3 * held[:, None] + np.arange(3)).ravel()
+    rows = components_of(held)
     extension = csr_array(
         (np.ones(rows.size), (rows, np.arange(rows.size))), shape=(3 * count, rows.size)
     )
@@ -129,7 +130,7 @@ def _mean_traction(
     np.add.at(total, side_vertex, weight)
     value = np.repeat(weight / total[side_vertex], 3)
     first = 3 * system.unknowns.free_vertices.size
-    row = (3 * side_vertex[:, None] + np.arange(3)).ravel()
+    row = components_of(side_vertex)
     mean = csr_array(
         (value, (row, first + np.arange(row.size))),
         shape=(displacement_basis.shape[0], system.size),
@@ -150,7 +151,7 @@ def spring_columns(system: BoundarySystem, springs: Springs) -> Float[np.ndarray
     (2, r, e) float               constant and slope in nu, for a shear modulus of one pascal
     """
     held = system.unknowns.held_vertices
-    basis = springs.displacement_basis[(3 * held[:, None] + np.arange(3)).ravel()]
+    basis = springs.displacement_basis[components_of(held)]
     return system.held_columns(basis)
 
 

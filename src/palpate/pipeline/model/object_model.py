@@ -3,12 +3,12 @@ observations of each probing as functions of its solutions: displacements of its
 motions of supports."""
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array, eye_array, hstack, kron
 
+from palpate.arrays import components_of
 from palpate.bem import (
     BodyForce,
     BoundarySystem,
@@ -364,7 +364,7 @@ def probe_rows(
     if model.body is not None:
         particular = observed @ _particular(model.system, model.body).ravel()
     vertices = model.system.unknowns.free_vertices
-    free = observed[:, (3 * vertices[:, None] + np.arange(3)).ravel()]
+    free = observed[:, components_of(vertices)]
     parts = [free, csr_array((particular.size, model.system.size - free.shape[1]))]
     if model.springs is not None:
         parts.append(observed @ model.springs.displacement_basis)
@@ -442,12 +442,9 @@ def _with_own_rows(matrix: csr_array, count: int) -> csr_array:
 def _samples(model: ObjectModel, average: SurfaceAverage) -> SurfacePoints:
     """Where the sampling points of an average are on the mesh; in memory it is kept for fits of
     further pushes."""
-    checkpoints = model.system.checkpoints
-    find = partial(closest_points, model.session.mesh, average.points)
-    if not checkpoints.in_memory:
-        return find()
-    key = content_digest((model.session.mesh, average.points))
-    return Checkpoints(checkpoints.folder, key).load_or_make("samples", find)
+    mesh, points = model.session.mesh, average.points
+    checkpoints = Checkpoints(model.system.checkpoints.folder, content_digest((mesh, points)))
+    return checkpoints.kept_in_memory("samples", lambda: closest_points(mesh, points))
 
 
 def _own_perturbations(model: ObjectModel, index: int) -> Int[np.ndarray, " p"]:

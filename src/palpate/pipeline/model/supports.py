@@ -23,7 +23,7 @@ from palpate.bem import (
     make_surface,
     unrestrained_motions,
 )
-from palpate.checkpoints import Cache, Checkpoints, Memory, content_digest
+from palpate.checkpoints import Cache, Checkpoints, content_digest
 from palpate.errors import InputError
 from palpate.geometry import TriangleMesh, area_vectors, bounding_diagonal
 from palpate.records import (
@@ -271,10 +271,8 @@ def session_surface(
     make = partial(
         make_surface, mesh, held, directions=directions, smooth=session.smooth, rings=rings
     )
-    if not isinstance(cache, Memory):
-        return make()
     key = content_digest((mesh, held, directions, session.smooth, rings))
-    return Checkpoints(cache, key).load_or_make("surface", make)
+    return Checkpoints(cache, key).kept_in_memory("surface", make)
 
 
 def sliding_motion(session: Session) -> MovingSupport | None:
