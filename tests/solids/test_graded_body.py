@@ -9,6 +9,9 @@ from palpate.solids.graded_body import make_graded_body, with_moduli
 from palpate.solids.tetrahedra import make_solid
 
 RATIO = 0.3
+# Sensitivities are sums of some thousand terms in single precision, each rounded to 6e-8: its
+# errors add up as their root, 40 times that.
+SINGLE = 40 * 6e-8
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +63,7 @@ def test_derivatives_are_those_of_the_displacements(body, forces):
             for side in (1, -1)
         )
         expected = (seen.T @ (more - less) / (2 * step)).T
-        assert np.abs(derivative[:, :, k] - expected).max() < 1e-7 * np.abs(expected).max()
+        assert np.abs(derivative[:, :, k] - expected).max() < SINGLE * np.abs(expected).max()
 
 
 def test_both_ways_to_the_derivatives_agree(body, forces):
@@ -70,8 +73,7 @@ def test_both_ways_to_the_derivatives_agree(body, forces):
     moved, seen = at.displacements(forces), np.eye(len(forces))[:, 60:90]
     expected = at.sensitivities(at.displacements(seen), moved, basis)
     change = at.changes(moved, basis)[:, 60:90]
-    # One of them in single precision.
-    assert np.abs(change - expected).max() < 1e-7 * np.abs(expected).max()
+    assert np.abs(change - expected).max() < SINGLE * np.abs(expected).max()
 
 
 def test_scaling_the_modulus_divides_the_displacement(body, forces):
@@ -80,9 +82,8 @@ def test_scaling_the_modulus_divides_the_displacement(body, forces):
     at = with_moduli(body, field, RATIO)
     moved, seen = at.displacements(forces), np.eye(len(forces))[:, 60:90]
     derivative = at.sensitivities(at.displacements(seen), moved, np.ones((len(field), 1)))
-    assert np.allclose(
-        derivative[:, :, 0].T, -moved[60:90], rtol=1e-7, atol=1e-9 * np.abs(moved).max()
-    )
+    error = derivative[:, :, 0].T + moved[60:90]
+    assert np.abs(error).max() < SINGLE * np.abs(moved[60:90]).max()
 
 
 def test_stiffer_everywhere_yields_less_under_every_load(body, forces):

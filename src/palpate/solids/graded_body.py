@@ -23,6 +23,7 @@ from palpate.solids.tetrahedra import Solid
 _BLOCK = 64
 # Loads whose energies are held at once.
 _LOADS = 8
+_ALL = slice(None)
 # From strains with twice the shears to Mandel's six-vectors, whose products are those of tensors.
 _MANDEL = np.array([1.0, 1.0, 1.0, *[np.sqrt(0.5)] * 3])
 
@@ -119,8 +120,13 @@ class GradedStiffness:
         -------
         (p, a, b) float32 [m Pa]        of many pushes it is most of what is kept
         """
-        stress, unknowns = np.swapaxes(self._stress(moved), 1, 2), self.body.unknowns
-        operator = self.body.strain.reshape(len(unknowns), -1, 30)
+        # In the precision of the result: products of large matrices take most of the time.
+        stress, strain, observed, basis = (
+            array.astype(np.float32)
+            for array in (self._stress(moved), self.body.strain, observed, basis)
+        )
+        stress, unknowns = np.swapaxes(stress, 1, 2), self.body.unknowns
+        operator = strain.reshape(len(unknowns), -1, 30)
         shape = moved.shape[1], observed.shape[1], basis.shape[1]
         result = np.empty(shape, dtype=np.float32)
         for first in range(0, observed.shape[1], _BLOCK):
@@ -213,23 +219,29 @@ class GradedStiffness:
         ----------
         moved : (3 n, p) float [m Pa]   displacements under the loads
         """
-        unknowns, force = self.body.unknowns, np.zeros_like(moved)
-        near = np.flatnonzero(self.body.held[self.body.solid.elements].any(axis=1))
-        strain = self.body.strain.reshape(len(unknowns), -1, 30)[near]
+        body, force = self.body, np.zeros_like(moved)
+        near = np.flatnonzero(body.held[body.solid.elements].any(axis=1))
+        unknowns, strain = body.unknowns[near], body.strain[near].reshape(len(near), -1, 30)
         for first in range(0, moved.shape[1], _BLOCK):
             part = slice(first, first + _BLOCK)
-            stress = self._stress(moved[:, part]).reshape(len(unknowns), strain.shape[1], -1)
-            np.add.at(force[:, part], unknowns[near], np.swapaxes(strain, 1, 2) @ stress[near])
-        return force[np.repeat(self.body.held, 3)]
+            stress = self._stress(moved[:, part], near).reshape(*strain.shape[:2], -1)
+            np.add.at(force[:, part], unknowns, np.swapaxes(strain, 1, 2) @ stress)
+        return force[np.repeat(body.held, 3)]
 
-    def _strain(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "mq 6 p"]:
-        strain = self.body.strain.reshape(len(self.body.strain), -1, 30)
-        return (strain @ moved[self.body.unknowns]).reshape(-1, 6, moved.shape[1])
+    def _strain(
+        self, moved: Float[np.ndarray, "k p"], elements: Int[np.ndarray, " e"] | slice = _ALL
+    ) -> Float[np.ndarray, "eq 6 p"]:
+        strain, unknowns = self.body.strain[elements], self.body.unknowns[elements]
+        strain = strain.reshape(len(unknowns), -1, 30)
+        return (strain @ moved[unknowns]).reshape(-1, 6, moved.shape[1])
 
-    def _stress(self, moved: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "mq 6 p"]:
-        """Stress times weight of the quadrature at every point."""
-        strain = self._strain(moved)
-        scale = self.body.weight.ravel() * np.exp(self.log_modulus)
+    def _stress(
+        self, moved: Float[np.ndarray, "k p"], elements: Int[np.ndarray, " e"] | slice = _ALL
+    ) -> Float[np.ndarray, "eq 6 p"]:
+        """Stress times weight of the quadrature at every point of some elements."""
+        weight = self.body.weight
+        scale = (weight * np.exp(self.log_modulus).reshape(weight.shape))[elements].ravel()
+        strain = self._strain(moved, elements)
         return (_hooke(self.poisson_ratio) @ strain) * scale[:, None, None]
 
 
