@@ -413,6 +413,11 @@ def test_a_push_more_is_modelled_alone(monkeypatch: pytest.MonkeyPatch) -> None:
         # Contacts stay that change by less than a quarter of a per cent.
         assert abs(value.value - expected.value) < 0.05 * expected.std
         assert value.std == pytest.approx(expected.std, rel=0.01)
+    # The last push is taken back.
+    fewer = replace(given, probings=probings[:-1])
+    live, alone = (fit_session(fewer, cache=cache).estimate for cache in (memory, None))
+    difference = live.young_modulus.value - alone.young_modulus.value
+    assert abs(difference) < 0.05 * alone.young_modulus.std
     # Another force on the first push is another push.
     weaker = replace(probings[0], force=0.9 * probings[0].force)
     session = replace(given, probings=(weaker, *probings[1:]))

@@ -366,8 +366,10 @@ class _Settled:
         """
         further = [k for k, digest in enumerate(digests) if digest not in self.contacts]
         session = _with_known(session, digests, self.contacts)
+        if not further:
+            return session
         session = _followed(session, further, [], None, self.constants)
-        for _ in range(_MOST_CONTACT_ROUNDS if further else 0):
+        for _ in range(_MOST_CONTACT_ROUNDS):
             _, observations = observe(session)
             updated = _followed(session, further, observations, surface, self.constants)
             if largest_change(session, updated) < _CONTACT_TOLERANCE:
