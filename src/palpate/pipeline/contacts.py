@@ -87,12 +87,12 @@ def with_consistent_contacts(
     model, fitted, taken = None, list[float](), list[float]()
     earlier, digests, every = None, list[str](), range(len(session.probings))
     observe = partial(ungraded_observations, settings=settings, cache=cache, with_surface=displaced)
+    surface = session_surface(session, cache=cache) if displaced else None
     if isinstance(cache, Memory):
         earlier = cache.pushes.get(_SETTLED)
         digests = list(map(content_digest, session.probings))
-        if earlier is not None:
-            surface = session_surface(session, cache=cache) if displaced else None
-            session = earlier.start(session, digests, surface, observe)
+    if earlier is not None:
+        session = earlier.start(session, digests, surface, observe)
     for iteration in range(_MOST_CONTACT_ROUNDS):
         # The number of iterations is not known: each takes half of the remaining progress.
         part = part_of(progress, 1.0 - 0.5**iteration, 1.0 - 0.5 ** (iteration + 1))
@@ -101,10 +101,8 @@ def with_consistent_contacts(
         fitted.append(float(best.theta[1]))
         # Where contacts are known, it is a new one that moves the modulus, and no secant of it.
         taken.append(_consistent_modulus(taken, fitted) if earlier is None else fitted[-1])
-        surface = None
-        if displaced:
-            surface = model.system.surface if model else session_surface(session, cache=cache)
-        updated = _followed(session, every, observations, surface, best.theta[:2], taken[-1])
+        constants = np.array([best.poisson_ratio, taken[-1]])
+        updated = _followed(session, every, observations, surface, constants)
         change = largest_change(session, updated)
         # Responses of all vertices are large, and not needed any more.
         observations = [replace(probe, vertices=None) for probe in observations]
@@ -114,7 +112,7 @@ def with_consistent_contacts(
                 nearer = _with_known(session, digests, earlier.nearer)
             nearer = _changed_where_much(nearer, updated, _STILL)
             if isinstance(cache, Memory):
-                cache.pushes[_SETTLED] = _Settled.of(digests, session, nearer, best.theta[:2])
+                cache.pushes[_SETTLED] = _Settled.of(digests, session, nearer, constants)
             return session, observations, nearer
         previous, session = session, _changed_where_much(session, updated, _CONTACT_TOLERANCE)
     # What Poisson's ratio that hardly counts leaves of a change is within the error of the radii.
@@ -133,7 +131,6 @@ def _followed(
     observations: Sequence[ProbeObservations],
     surface: BoundarySurface | None,
     constants: Float[np.ndarray, "2"],
-    log_modulus: float | None = None,
 ) -> Session:
     """A session with some of its contacts as they follow from constants.
 
@@ -142,14 +139,10 @@ def _followed(
     observations : sequence of k ProbeObservations      of all k probings
     surface : BoundarySurface or None   of the object; None: contacts stay where they are
     constants : (2,) float              nu and log G
-    log_modulus : float or None         log G for which contacts are computed, if another
     """
     part = replace(session, probings=tuple(session.probings[k] for k in chosen))
     ratio, modulus = float(constants[0]), float(np.exp(constants[1]))
-    for_tools = {
-        "shear_modulus": modulus if log_modulus is None else float(np.exp(log_modulus)),
-        "poisson_ratio": min(ratio, _LARGEST_RATIO),
-    }
+    for_tools = {"shear_modulus": modulus, "poisson_ratio": min(ratio, _LARGEST_RATIO)}
     if surface is not None:
         # Under the forces that were measured.
         seen = [observations[k] for k in chosen]
