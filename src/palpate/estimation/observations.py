@@ -210,6 +210,16 @@ class ProbeObservations:
                     "(0 = exact)"
                 )
 
+    def load(self, shear_modulus: float) -> Float[np.ndarray, " c"]:
+        """The load that was measured, one entry for each column of `ResponseModel`: force and 1
+        over the shear modulus, and motions.
+
+        Parameters
+        ----------
+        shear_modulus : float [Pa]
+        """
+        return np.concatenate([np.append(self.force, 1.0) / shear_modulus, self.motion])
+
     def surface(self, load: Float[np.ndarray, " c"], poisson_ratio: float) -> Vertices | None:
         """Displacement of all vertices, (v, 3) [m]; None without their response.
 

@@ -512,6 +512,5 @@ def _fields(
     seen, parameters = probe.observations, probe.parameters
     order = _order(probe, shared)
     chosen = [k for k, number in enumerate(order) if parameters[number].is_model_error]
-    load = np.concatenate([np.append(seen.force, 1.0) / shear_modulus, seen.motion])
-    load = _in_terms(load, shear_modulus, len(model.value))
+    load = _in_terms(seen.load(shear_modulus), shear_modulus, len(model.value))
     return (load[model.changed] @ model.effects[chosen]).T

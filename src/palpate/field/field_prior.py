@@ -178,14 +178,14 @@ def _marginalised(
 ) -> Iterator[tuple[float, float, _Known]]:
     """For each standard deviation of the modes before the last ones, which are layers: their log
     evidence, and what the data say of the layers with these marginalised."""
-    few = slice(len(score) - layers, None)
-    value, vector = np.linalg.eigh(information[: few.start, : few.start])
-    cross, along = vector.T @ information[: few.start, few], vector.T @ score[: few.start]
+    count = len(score) - layers
+    value, vector = np.linalg.eigh(information[:count, :count])
+    cross, along = vector.T @ information[:count, count:], vector.T @ score[:count]
     for std in STDS:
         variance = std**2 / (1.0 + std**2 * value)
         evidence = 0.5 * float(variance @ along**2 - np.log1p(std**2 * value).sum())
-        rest = information[few, few] - (cross.T * variance) @ cross
-        yield float(std), evidence, (rest, score[few] - cross.T @ (variance * along))
+        rest = information[count:, count:] - (cross.T * variance) @ cross
+        yield float(std), evidence, (rest, score[count:] - cross.T @ (variance * along))
 
 
 def best_evidence(

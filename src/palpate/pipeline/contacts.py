@@ -144,13 +144,8 @@ def _followed(
     ratio, modulus = float(constants[0]), float(np.exp(constants[1]))
     for_tools = {"shear_modulus": modulus, "poisson_ratio": min(ratio, _LARGEST_RATIO)}
     if surface is not None:
-        # Under the forces that were measured.
-        seen = [observations[k] for k in chosen]
-        loads = [np.append(probe.force, 1.0) / modulus for probe in seen]
-        surfaces = (
-            probe.surface(np.concatenate([load, probe.motion]), ratio)
-            for probe, load in zip(seen, loads, strict=True)
-        )
+        seen = (observations[k] for k in chosen)
+        surfaces = (probe.surface(probe.load(modulus), ratio) for probe in seen)
         moved = [displacement for displacement in surfaces if displacement is not None]
         part = displaced_contacts(part, surface, moved, **for_tools)
     probings = list(session.probings)

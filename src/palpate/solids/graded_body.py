@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array, eye_array, kron
 
+from palpate.arrays import components_of
 from palpate.solids.finite_elements import free_part, quadratic_basis, solve_free
 from palpate.solids.sparse_cholesky import Cholesky, factorise
 from palpate.solids.tetrahedra import Solid
@@ -69,7 +70,7 @@ class GradedBody:
     def unknowns(self) -> Int[np.ndarray, "m 30"]:
         """Numbers of each element's unknowns, three components a node."""
         elements = self.solid.elements
-        return (3 * elements[:, :, None] + np.arange(3)).reshape(len(elements), 30)
+        return components_of(elements.ravel()).reshape(len(elements), 30)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

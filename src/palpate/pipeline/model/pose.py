@@ -96,7 +96,7 @@ def pose_changes(model: ObjectModel, points: SurfacePoints) -> PoseChanges | Non
 
 
 def pose_dips(
-    model: ObjectModel, response: ProbeResponse, points: SurfacePoints
+    model: ObjectModel, response: ProbeResponse, points: SurfacePoints, change: PoseChanges
 ) -> Callable[[float], Float[np.ndarray, "p r 4"]]:
     """Change with the pose of what vertices miss of the dips about a probing's contact.
 
@@ -105,24 +105,26 @@ def pose_dips(
     model : ObjectModel
     response : ProbeResponse        of the probing
     points : SurfacePoints          of n points
+    change : PoseChanges            of these
 
     Returns
     -------
     function                        Poisson's ratio -> (p, 3 n, 4) float [m Pa]: displacement times
                                     shear modulus under its loads, for each of the p parameters
     """
-    rows, surface, stds = response.rows, model.system.surface, _pose_stds(model.session)
+    rows, surface, (poses, count, _) = response.rows, model.system.surface, change.shifts.shape
     columns = rows.columns[: len(rows.columns) - rows.changes]
-    chosen, count = np.flatnonzero(stds), 3 * points.triangle.size
-    missed = model.loads.missed_indentation(surface, columns, *_beside(model, points))
-    missed = missed.reshape(2, 2, chosen.size, count, -1)
-    change = np.moveaxis(missed[:, 0] - missed[:, 1], 1, 0)
-    here = model.loads.missed_indentation(surface, columns, points.triangle, points.barycentric)
-    for row, k in enumerate(chosen):
-        if k >= 3:
-            turned = _TURNS[k - 3] @ here.reshape(2, count // 3, 3, -1)
-            change[row] += stds[k] * turned.reshape(2, count, -1)
-    return lambda nu: np.stack([rows.of_loads(dips, nu) for dips in change])
+    # Where points lie if the mesh is off by half a standard deviation one way, then the other.
+    half, place = 0.5 * change.shifts @ _SIDES, points.barycentric
+    sides = np.concatenate([place + half, place - half]).reshape(-1, 3)
+    triangle = np.tile(points.triangle, 2 * poses)
+    beside = model.loads.missed_indentation(surface, columns, triangle, sides)
+    beside = beside.reshape(2, 2, poses, 3 * count, -1)
+    here = model.loads.missed_indentation(surface, columns, points.triangle, place)
+    turned = change.turns[:, None, None] @ here.reshape(2, count, 3, -1)
+    moved = np.moveaxis(beside[:, 0] - beside[:, 1], 1, 0)
+    moved += turned.reshape(moved.shape)
+    return lambda nu: np.stack([rows.of_loads(dips, nu) for dips in moved])
 
 
 def _pose_stds(session: Session) -> Float[np.ndarray, "6"]:
@@ -139,16 +141,6 @@ def _shifts(model: ObjectModel, points: SurfacePoints) -> Float[np.ndarray, "p n
     modes = rigid_modes(points.position, mesh.vertices.mean(axis=0))[:, :, chosen] * stds[chosen]
     sides = _SIDES @ mesh.vertices[mesh.triangles[points.triangle]]
     return -np.moveaxis(np.linalg.pinv(sides.swapaxes(1, 2)) @ modes, 2, 0)
-
-
-def _beside(
-    model: ObjectModel, points: SurfacePoints
-) -> tuple[Int[np.ndarray, " q"], Float[np.ndarray, "q 3"]]:
-    """Triangles and barycentric coordinates of where points lie if the mesh is off by half a
-    standard deviation of each of p poses one way, then the other; 2 p n points in all."""
-    half = 0.5 * _shifts(model, points) @ _SIDES
-    sides = np.concatenate([points.barycentric + half, points.barycentric - half]).reshape(-1, 3)
-    return np.tile(points.triangle, 2 * len(half)), sides
 
 
 def pose_error(

@@ -67,7 +67,7 @@ def shared_errors(
     if priors.length_scale > 0.0:
         nuisances.append(length_scale(priors.length_scale))
     if change is not None and probing.displacement is not None:
-        dips = pose_dips(model, response, probing.displacement.surface)
+        dips = pose_dips(model, response, probing.displacement.surface, change)
         nuisances.append(
             pose_error(priors.pose_translation, priors.pose_rotation, change, vertices, dips)
         )
